@@ -17,6 +17,8 @@ mod precision;
 #[cfg(feature = "python")]
 mod rendering;
 #[cfg(feature = "python")]
+mod run;
+#[cfg(feature = "python")]
 mod threads;
 
 #[cfg(feature = "python")]
@@ -26,4 +28,6 @@ mod _gs4d {
     use crate::metrics::{ms_ssim, perceptual_proxy, psnr, ssim};
     #[pymodule_export]
     use crate::rendering::{Rendering, draw};
+    #[pymodule_export]
+    use crate::run::{Run, open_run};
 }

@@ -116,6 +116,6 @@ fn cotangent<T: Precision>(d: &Bound<'_, PyDict>, name: &str) -> PyResult<Vec<T>
 }
 
 /// An array of a shape that its values fill.
-fn shaped<'py, T: Element>(py: Python<'py>, values: Vec<T>, shape: &[usize]) -> PyResult<Bound<'py, PyAny>> {
+pub(crate) fn shaped<'py, T: Element>(py: Python<'py>, values: Vec<T>, shape: &[usize]) -> PyResult<Bound<'py, PyAny>> {
     Ok(PyArray1::from_vec(py, values).reshape(shape.to_vec())?.into_any())
 }

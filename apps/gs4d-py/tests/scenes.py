@@ -30,6 +30,7 @@ def shared(*parts):
     root = os.environ.get("GS4D_SHARED", Path(__file__).resolve().parents[4] / "shared")
     path = Path(root).joinpath(*parts)
     if not path.exists():
+        assert os.environ.get("GS4D_REQUIRE_SHARED") != "1", f"{path} is not there, but GS4D_REQUIRE_SHARED is 1"
         print(f"SKIPPED {'/'.join(parts)}: not found under {root}")
         pytest.skip(f"{path} is not there (GS4D_SHARED names its folder)")
     return path

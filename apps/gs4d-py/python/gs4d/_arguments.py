@@ -2,7 +2,7 @@
 
 import operator
 
-#: Arguments of gsplat that are refused unless they have this value, and what to do instead.
+#: Arguments of gsplat, and columns of kernels, that are refused unless they have this value, and what to do instead.
 REFUSED = {
     "radius_clip": (0.0, "remove small splats from the arrays"),
     "sparse_grad": (False, "gradients are dense"),
@@ -27,6 +27,9 @@ REFUSED = {
     "extra_signals": (None, "append them to the channels of colors"),
     "extra_signals_sh_degree": (None, "append them to the channels of colors"),
     "renderer_config": (None, "leave it out"),
+    "lambdas": (None, "learnt kernels are drawn by Run.render alone"),
+    "betas": (None, "learnt kernels are drawn by Run.render alone"),
+    "acutances": (None, "learnt kernels are drawn by Run.render alone"),
 }
 
 #: Names of the arrays, in the order of the arguments.

@@ -1,0 +1,152 @@
+//! Runs of gs4d: splats and images of a trained scene at any time.
+
+use crate::input::camera;
+use crate::rendering::shaped;
+use crate::threads::pool;
+use glam::{DVec3, Vec3};
+use gs_core::{Camera, Color, Kernel, Splats, Time, sh};
+use gs_train::renderer::Renderer;
+use gs_train::timestamp::Timestamp;
+use gs4d_run::{Kept, OpenRun};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::path::PathBuf;
+
+/// A camera as the package passes it: viewmat and K row by row, width, height.
+type Matrices = ([f64; 16], [f64; 9], u32, u32);
+
+/// A run, open for reading.
+#[pyclass(frozen)]
+pub(crate) struct Run(OpenRun);
+
+/// Opens a run folder, a checkpoint or a compact file; `data` is where its data went.
+#[pyfunction]
+pub(crate) fn open_run(py: Python<'_>, path: PathBuf, data: Option<PathBuf>) -> PyResult<Run> {
+    let run = py.detach(|| OpenRun::open_with(gs_methods::registry(), &path, data.as_deref()));
+    run.map(Run).map_err(|e| PyValueError::new_err(format!("{}: {e}", path.display())))
+}
+
+fn error(e: impl std::fmt::Display) -> PyErr {
+    PyValueError::new_err(e.to_string())
+}
+
+fn timestamp(t: f64) -> PyResult<Timestamp> {
+    let t = Time::new(gs_core::cast::to_f32(t)).map_err(|e| error(format!("t: {e}")))?;
+    Ok(Timestamp::new(t))
+}
+
+impl Run {
+    /// What is known of the data, where they are or were kept.
+    fn kept(&self) -> Kept {
+        self.0.kept().unwrap_or_default()
+    }
+
+    /// The camera asked for; else a training camera, or one at the origin.
+    fn camera(&self, matrices: Option<Matrices>) -> PyResult<Camera> {
+        if let Some((viewmat, k, width, height)) = matrices {
+            return camera(0, viewmat, k, width, height);
+        }
+        match self.kept().train.into_iter().next() {
+            Some(view) => Ok(view.camera),
+            None => Camera::look_at(64, 64, 1.0, DVec3::ZERO, DVec3::Z, DVec3::NEG_Y).map_err(error),
+        }
+    }
+}
+
+#[pymethods]
+impl Run {
+    /// Name of the method.
+    #[getter]
+    fn method(&self) -> String {
+        self.0.loaded.model.name().to_owned()
+    }
+
+    /// Optimizer steps made.
+    #[getter]
+    fn step(&self) -> u32 {
+        self.0.loaded.step
+    }
+
+    /// The colour behind the scene that the run is evaluated over.
+    #[getter]
+    fn background(&self) -> [f32; 3] {
+        self.0.background()
+    }
+
+    /// Normalised training timestamps; empty if they are not known.
+    fn times(&self, py: Python<'_>) -> Vec<f32> {
+        py.detach(|| self.kept().times)
+    }
+
+    /// Name, camera and normalised time of training views; empty if they are not known.
+    fn cameras(&self, py: Python<'_>) -> Vec<(String, Matrices, f32)> {
+        let of = |c: &Camera| {
+            let k = [c.fx, 0.0, c.cx, 0.0, c.fy, c.cy, 0.0, 0.0, 1.0];
+            (c.viewmat().transpose().to_cols_array(), k, c.width, c.height)
+        };
+        let views = py.detach(|| self.kept().train);
+        views.into_iter().map(|view| (view.name, of(&view.camera), view.time.normalised)).collect()
+    }
+
+    /// All splats at a normalised time, in the same order at every time.
+    fn splats<'py>(&self, py: Python<'py>, t: f64, camera: Option<Matrices>) -> PyResult<Bound<'py, PyDict>> {
+        let (at, camera) = (timestamp(t)?, self.camera(camera)?);
+        let splats = py.detach(|| self.0.loaded.model.all_splats(&at, &camera)).map_err(error)?;
+        columns(py, splats)
+    }
+
+    /// Colour, alpha and depth of an image at a normalised time.
+    fn render<'py>(
+        &self,
+        py: Python<'py>,
+        t: f64,
+        matrices: Matrices,
+        background: Option<[f32; 3]>,
+        threads: Option<usize>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let (at, camera, pool) = (timestamp(t)?, self.camera(Some(matrices))?, pool(threads)?);
+        let model = &self.0.loaded.model;
+        let mut renderer = Renderer::new(model.raster_options(background.unwrap_or(self.0.background())));
+        renderer.options.check().map_err(error)?;
+        let frame = py.detach(|| {
+            pool.install(|| model.splats(&at, &camera).map(|splats| renderer.render(&splats, &camera).clone()))
+        });
+        let (frame, out) = (frame.map_err(error)?, PyDict::new(py));
+        let [height, width] = [camera.height as usize, camera.width as usize];
+        out.set_item("colors", shaped(py, frame.rgb.data, &[height, width, 3])?)?;
+        out.set_item("alphas", shaped(py, frame.alpha, &[height, width, 1])?)?;
+        out.set_item("depths", shaped(py, frame.depth, &[height, width, 1])?)?;
+        Ok(out)
+    }
+}
+
+/// Splats as the arguments of `rasterization`; a learnt kernel's columns beside them.
+fn columns(py: Python<'_>, splats: Splats) -> PyResult<Bound<'_, PyDict>> {
+    let (out, n) = (PyDict::new(py), splats.len());
+    let flat = |rows: &[Vec3]| rows.iter().flat_map(|v| v.to_array()).collect::<Vec<f32>>();
+    out.set_item("means", shaped(py, flat(&splats.means), &[n, 3])?)?;
+    out.set_item("quats", shaped(py, splats.quats.into_flattened(), &[n, 4])?)?;
+    out.set_item("scales", shaped(py, flat(&splats.scales), &[n, 3])?)?;
+    out.set_item("opacities", shaped(py, splats.opacities, &[n])?)?;
+    match splats.color {
+        Color::Rgb(rgb) => {
+            out.set_item("colors", shaped(py, rgb.into_flattened(), &[n, 3])?)?;
+            out.set_item("sh_degree", py.None())?;
+        }
+        Color::Sh { degree, coeffs } => {
+            out.set_item("colors", shaped(py, coeffs, &[n, sh::coeffs(degree), 3])?)?;
+            out.set_item("sh_degree", degree)?;
+        }
+    }
+    match splats.kernel {
+        Kernel::Gaussian => {}
+        Kernel::Frequency { lambdas, betas } => {
+            out.set_item("lambdas", shaped(py, lambdas, &[n])?)?;
+            out.set_item("betas", shaped(py, betas, &[n])?)?;
+        }
+        Kernel::Acutance { acutances } => out.set_item("acutances", shaped(py, acutances, &[n])?)?,
+        other => return Err(error(format!("the columns of this kernel have no names here: {other:?}"))),
+    }
+    Ok(out)
+}
