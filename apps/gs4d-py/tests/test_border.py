@@ -1,5 +1,7 @@
 """What the package accepts and refuses, threads, and the interpreter's lock."""
 
+import multiprocessing
+import os
 import threading
 import time
 
@@ -161,6 +163,19 @@ def test_calls_from_several_threads_agree():
     for worker in workers:
         worker.join()
     assert all(np.array_equal(want, result) for result in results)
+
+
+def _drawn_in_a_fork(_):
+    return drawn()[0]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+@pytest.mark.filterwarnings("ignore")
+def test_a_forked_process_draws():
+    """As data loaders do; the threads of the parent are not there."""
+    want = drawn()[0]
+    with multiprocessing.get_context("fork").Pool(1) as pool:
+        assert np.array_equal(want, pool.apply_async(_drawn_in_a_fork, (0,)).get(timeout=60))
 
 
 def test_metrics():

@@ -32,6 +32,9 @@ REFUSED = {
     "acutances": (None, "learnt kernels are drawn by Run.render alone"),
 }
 
+#: Arguments that concern the speed of GPUs.
+IGNORED = ("packed", "tile_size", "channel_chunk", "segmented")
+
 #: Names of the arrays, in the order of the arguments.
 ARRAYS = ("means", "quats", "scales", "opacities", "colors", "viewmats", "Ks", "backgrounds")
 
@@ -102,15 +105,16 @@ class Plan:
                              f"{self.coefficients}")
 
 
-def check_options(ignored, refused):
-    """Refuses what is not supported. ``ignored`` concerns the speed of GPUs and has no effect."""
-    for name, value in refused.items():
+def refuse(arguments):
+    """An error for the first argument that is not supported."""
+    for name, value in arguments.items():
+        if name in IGNORED:
+            continue
         if name not in REFUSED:
             raise TypeError(f"rasterization() got an unexpected keyword argument {name!r}")
         default, advice = REFUSED[name]
         if value is not None and not (type(value) in (bool, int, float, str) and value == default):
             raise ValueError(f"{name} = {value!r} is not supported: {advice}")
-    del ignored
 
 
 def _whole(name, value, least, most):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from . import _gs4d
-from ._arguments import ARRAYS, Plan, check_options
+from ._arguments import ARRAYS, Plan, refuse
 
 #: Least alpha that expected depth is divided by, as in gsplat.
 _LEAST_ALPHA = 1e-10
@@ -85,11 +85,10 @@ def named(arguments):
 def plan(arguments):
     """The arrays, and the plan of everything else. Takes the arguments out of the dictionary."""
     arrays = {name: arguments.pop(name) for name in ARRAYS}
-    ignored = {name: arguments.pop(name, None) for name in ("packed", "tile_size", "channel_chunk", "segmented")}
     names = ("width", "height", "near_plane", "far_plane", "eps2d", "sh_degree", "render_mode", "rasterize_mode",
              "max_alpha", "threads")
     options = {name: arguments.pop(name) for name in names}
-    check_options(ignored, arguments)
+    refuse(arguments)
     return arrays, Plan(arrays, **options)
 
 
@@ -108,8 +107,9 @@ def rasterize(arguments, keep):
     out = _gs4d.draw(given, p.settings, keep)
     alphas, images = out["alphas"], []
     if p.has_color:
-        over = 0 if backgrounds is None else (1 - alphas) * backgrounds[:, None, None, :]
-        images.append(out["colors"] + over if backgrounds is not None else out["colors"])
+        images.append(out["colors"])
+        if backgrounds is not None:
+            images[0] = images[0] + (1 - alphas) * backgrounds[:, None, None, :]
     if p.depth is not None:
         images.append(out["depths"] / np.maximum(alphas, _LEAST_ALPHA) if p.depth == "ED" else out["depths"])
     renders = images[0] if len(images) == 1 else np.concatenate(images, axis=-1)
@@ -117,7 +117,9 @@ def rasterize(arguments, keep):
             "depths": out["splat_depths"], "radii": out["radii"]}
     if not keep:
         return renders, alphas, meta, None
-    depth = images[-1] if p.depth == "ED" else None
+    # Copies: what the caller does to arrays and results must not reach the gradients.
+    alpha, depth = alphas.copy(), images[-1].copy() if p.depth == "ED" else None
+    behind = None if backgrounds is None else backgrounds[:, None, None, :].copy()
     shapes = {name: array.shape for name, array in arrays.items() if array is not None}
 
     def vjp(d_renders, d_alphas=None):
@@ -128,14 +130,14 @@ def rasterize(arguments, keep):
         if p.depth == "D":
             d["depths"] = d_renders[..., p.channels:]
         elif p.depth == "ED":
-            inverse = 1 / np.maximum(alphas, _LEAST_ALPHA)
+            inverse = 1 / np.maximum(alpha, _LEAST_ALPHA)
             d["depths"] = d_renders[..., p.channels:] * inverse
-            more.append(np.where(alphas > _LEAST_ALPHA, -d["depths"] * depth, 0))
-        if backgrounds is not None:
-            more.append(-(d["colors"] * backgrounds[:, None, None, :]).sum(-1, keepdims=True))
-            grads["backgrounds"] = (d["colors"] * (1 - alphas)).sum((1, 2))
+            more.append(np.where(alpha > _LEAST_ALPHA, -d["depths"] * depth, 0))
+        if behind is not None:
+            more.append(-(d["colors"] * behind).sum(-1, keepdims=True))
+            grads["backgrounds"] = (d["colors"] * (1 - alpha)).sum((1, 2))
         if d_alphas is not None or more:
-            d["alphas"] = sum(more, np.zeros_like(alphas) if d_alphas is None else d_alphas)
+            d["alphas"] = sum(more, np.zeros_like(alpha) if d_alphas is None else d_alphas)
         pulled = out["rendering"].pull_back({name: np.ascontiguousarray(array) for name, array in d.items()})
         meta["means2d_grad"] = pulled.pop("means2d")
         for name, shape in shapes.items():
