@@ -41,6 +41,7 @@ struct Cli {
 #[derive(Subcommand)]
 enum Verb {
     Demo(verbs::demo::Demo),
+    Import(Box<verbs::import::ImportVerb>),
     Doctor(verbs::doctor::Doctor),
     Init(verbs::init::Init),
     Train(verbs::train::Train),
@@ -109,6 +110,7 @@ fn run(cli: Cli) -> Result<Answer, Failure> {
     let global = &cli.global;
     match cli.verb {
         Verb::Demo(verb) => verb.run(global),
+        Verb::Import(verb) => verb.run(global),
         Verb::Doctor(verb) => verb.run(global),
         Verb::Init(verb) => verb.run(global),
         Verb::Synth(verb) => verb.run(global),

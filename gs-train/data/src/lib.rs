@@ -113,6 +113,7 @@ mod view;
 
 pub use advice::shell_quoted;
 pub use cache::ImageCache;
+pub use colmap::{Reconstruction, Registered};
 pub use depth::DepthMap;
 pub use error::{DataError, Place};
 pub use files::Root;

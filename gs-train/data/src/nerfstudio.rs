@@ -2,7 +2,8 @@
 //!
 //! Intrinsics at top level or in each frame, those of the frame first: `fl_x fl_y cx cy w h`, or `camera_angle_x` (and
 //! `camera_angle_y`), and the distortion `k1 k2 k3 p1 p2` of OpenCV. Per frame `file_path`, `transform_matrix` (camera to
-//! world, OpenGL axes) and optionally `time`, `mask_path` (white counts, black does not) and
+//! world, OpenGL axes) and optionally `time`, `camera_index` (frames of one camera of a rig share it; where any frame lacks it, every frame
+//! is a camera of its own), `mask_path` (white counts, black does not) and
 //! `depth_file_path` (`.npy` or PNG of 16 bit, in millimetres unless `depth_unit_scale_factor` at top level says otherwise). `train_filenames`, `val_filenames`, `test_filenames` give the split, else
 //! every eighth view is held out. `ply_file_path` names the initial points. `applied_transform` is not used:
 //! poses and points are both in the transformed world.
@@ -18,7 +19,7 @@ use super::files::{Root, read_text};
 use super::frames::{Listed, locate, name_views, with_headers};
 use super::header::ImageHeader;
 use super::intrinsics::{Adjusted, Intrinsics, hold_out, hold_out_note};
-use super::json::{Document, Fields, MAX_JSON_BYTES, quote_non_finite};
+use super::json::{Document, Fields, MAX_JSON_BYTES, quote_non_finite, whole};
 use super::lens::Lens;
 use super::options::DataOptions;
 use super::pose::{Pose, from_opengl};
@@ -47,6 +48,7 @@ struct Frame {
     written: String,
     mask: Option<PathBuf>,
     depth: Option<DepthMap>,
+    camera: Option<u32>,
 }
 
 /// Reads a capture.
@@ -200,8 +202,19 @@ fn read_frame(
         written,
         mask: file("mask_path")?,
         depth: file("depth_file_path")?.map(|file| DepthMap { file, unit: depth_unit }),
+        camera: camera_index(frame)?,
     };
     Ok(Listed { shown, path, rest })
+}
+
+/// The number of a camera that took several frames.
+fn camera_index(frame: &Fields) -> Result<Option<u32>, DataError> {
+    let key = "camera_index";
+    let Some(stated) = frame.number(key)? else { return Ok(None) };
+    let index = whole(stated, 0..=u32::MAX);
+    index
+        .map(Some)
+        .ok_or_else(|| frame.fault(key, &stated.to_string(), "cameras are numbered from 0", "correct the number"))
 }
 
 fn drafts(
@@ -210,15 +223,17 @@ fn drafts(
     notes: &mut Vec<String>,
 ) -> Result<Vec<Draft>, DataError> {
     let shown: Vec<PathBuf> = frames.iter().map(|(f, _)| f.shown.clone()).collect();
+    let numbered = frames.iter().all(|(f, _)| f.rest.camera.is_some());
     let mut adjusted = Adjusted::default();
     let mut drafts = Vec::with_capacity(frames.len());
     for (k, (listed, header)) in frames.into_iter().enumerate() {
         let frame = listed.rest;
+        let id = frame.camera.filter(|_| numbered).unwrap_or(cast::to_u32(k));
         let intrinsics = frame.stated.complete(&header, &frame.place)?;
         let (camera, fitted) = intrinsics.camera(&header, &listed.path, &frame.pose, &frame.place)?;
         let lens = intrinsics.lens(options.undistort, &frame.place)?;
         adjusted.count(&intrinsics, &camera, fitted, lens.as_ref());
-        let mut view = View::new("", camera, Time::default(), ImageSource::File(listed.path), cast::to_u32(k));
+        let mut view = View::new("", camera, Time::default(), ImageSource::File(listed.path), id);
         frame.depth.as_ref().map_or(Ok(()), DepthMap::check)?;
         (view.lens, view.depth) = (lens, frame.depth);
         if let Some(file) = frame.mask {

@@ -55,7 +55,36 @@ pub struct Doctor {
 }
 
 impl Doctor {
+    /// The check-up of a folder as it is without flags, but for the cost of a run, with its page.
+    pub fn of(data: PathBuf, out: PathBuf) -> Self {
+        Self {
+            data,
+            layout: None,
+            sets: Vec::new(),
+            method: "fourdgs".to_owned(),
+            preset: "fast".to_owned(),
+            all: false,
+            no_cost: true,
+            max_mem: None,
+            out,
+            fix: false,
+            force: false,
+            strict: false,
+        }
+    }
+
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+        match self.look(global)? {
+            (answer, None) => Ok(answer),
+            (answer, Some(problems)) => {
+                answer.print(global.json)?;
+                Err(problems)
+            }
+        }
+    }
+
+    /// What was found, and the failure if there are problems, or warnings with `--strict`.
+    pub fn look(self, global: &Global) -> Result<(Answer, Option<Failure>), Failure> {
         self.check_page()?;
         let mut checkup = self.examine(global)?;
         let mut written = Vec::new();
@@ -79,8 +108,7 @@ impl Doctor {
             answer.print(global.json)?;
             return Err(e.into());
         }
-        self.judge(&checkup, &answer, global)?;
-        Ok(answer)
+        Ok((answer, self.judge(&checkup)))
     }
 
     fn examine(&self, global: &Global) -> Result<Checkup, Failure> {
@@ -113,21 +141,20 @@ impl Doctor {
         Ok(DataOptions { layout: self.layout.clone().or(data.layout.clone()), ..data })
     }
 
-    /// Prints the answer and fails if there are problems, or warnings with `--strict`.
-    fn judge(&self, checkup: &Checkup, answer: &Answer, global: &Global) -> Result<(), Failure> {
+    /// The failure if there are problems, or warnings with `--strict`.
+    fn judge(&self, checkup: &Checkup) -> Option<Failure> {
         let [problems, warnings] = [Verdict::Problem, Verdict::Warning].map(|v| checkup.count(v));
         let failed = |class, id, what: String| {
-            answer.print(global.json)?;
-            Err(Failure::new(class, id, what).place(self.data.display()).remedy("see what to do behind each finding"))
+            Failure::new(class, id, what).place(self.data.display()).remedy("see what to do behind each finding")
         };
         if problems > 0 {
-            return failed(Class::Data, "doctor.problems", checkup.summary());
+            return Some(failed(Class::Data, "doctor.problems", checkup.summary()));
         }
-        if self.strict && warnings > 0 {
+        let strict = self.strict && warnings > 0;
+        strict.then(|| {
             let what = format!("{}, and --strict was asked for", checkup.summary());
-            return failed(Class::Verification, "doctor.strict", what);
-        }
-        Ok(())
+            failed(Class::Verification, "doctor.strict", what)
+        })
     }
 }
 

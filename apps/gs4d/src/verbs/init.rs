@@ -11,6 +11,9 @@ use gs4d_run::settings::{Request, resolve};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
+/// Most points, unless more or fewer are asked for.
+const POINTS: u32 = 20_000;
+
 /// Make initial points (start.ply) and write them, and the bounding box, into the folder's scene.toml; or write a rig's cameras.json
 #[derive(clap::Args)]
 pub struct Init {
@@ -21,7 +24,7 @@ pub struct Init {
     #[arg(long, value_enum)]
     from: Option<From>,
     /// At most so many.
-    #[arg(long, default_value_t = 20_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+    #[arg(long, default_value_t = POINTS, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
     points: u32,
     /// Half the side of the box around the origin, world units [default: the box of the layout or of the cameras].
     #[arg(long, value_name = "HALF", value_parser = positive)]
@@ -71,6 +74,24 @@ fn positive(text: &str) -> Result<f32, String> {
 }
 
 impl Init {
+    /// Points of a folder as they are made without flags, in place of those that were made before.
+    pub fn of(data: PathBuf) -> Self {
+        Self {
+            data,
+            from: None,
+            points: POINTS,
+            bound: None,
+            seed: 0,
+            layout: None,
+            sets: Vec::new(),
+            cameras: None,
+            camera_unit: 1.0,
+            conditioning: Vec::new(),
+            held_out: Vec::new(),
+            force: true,
+        }
+    }
+
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         match &self.cameras {
             Some(source) => self.rig(source),

@@ -12,6 +12,7 @@ pub mod eval;
 pub mod export;
 pub mod forecast;
 pub mod glmd;
+pub mod import;
 pub mod init;
 pub mod inspect;
 pub mod jobs;

@@ -14,6 +14,7 @@ mod future;
 mod glmd;
 mod guide;
 mod hostile;
+mod import;
 mod kill;
 mod lab;
 mod large;

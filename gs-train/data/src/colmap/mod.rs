@@ -29,7 +29,10 @@ use super::{Confidence, Dataset, ImageSource, Layout, PointCloud, View};
 
 mod binary;
 mod numbered;
+mod reconstruction;
 mod text;
+
+pub use reconstruction::{Reconstruction, Registered};
 
 /// The entry in [`super::LAYOUTS`].
 pub(crate) const LAYOUT: Layout =

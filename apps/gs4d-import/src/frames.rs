@@ -1,0 +1,293 @@
+//! Image files of cameras: frames of videos by ffmpeg, or copies of images; masks beside them.
+
+use crate::error::ImportError;
+use crate::probe::{Video, input};
+use crate::program::{Call, FFMPEG, Runner, Sink};
+use crate::rates::Cut;
+use gs_core::cast::{to_u32, to_usize};
+use gs_core::io::disk;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Folders of images and masks in the data set.
+pub(crate) const IMAGES: &str = "images";
+pub(crate) const MASKS: &str = "masks";
+/// Image files that are read.
+const EXTENSIONS: [&str; 3] = ["jpg", "jpeg", "png"];
+
+/// The name of a camera, from 0.
+pub(crate) fn camera_name(camera: usize) -> String {
+    format!("cam{camera:02}")
+}
+
+/// The size of frames: that of the video by a factor, its longer side at most so long.
+pub(crate) fn scaled(size: [u32; 2], scale: f64, longest: Option<u32>) -> [u32; 2] {
+    let longer = f64::from(size[0].max(size[1])) * scale;
+    let factor = longest.map_or(scale, |most| scale * (f64::from(most) / longer).min(1.0));
+    size.map(|side| to_u32(to_usize((f64::from(side) * factor).round())).max(1))
+}
+
+/// What is taken of a video, and where it goes.
+pub(crate) struct Extraction<'a> {
+    pub(crate) video: &'a Path,
+    pub(crate) size: [u32; 2],
+    /// Which frames, and the number of the camera.
+    pub(crate) cut: &'a Cut,
+    pub(crate) camera: usize,
+    pub(crate) is_mask: bool,
+}
+
+impl Extraction<'_> {
+    /// Frames at their times, nearest first: at a multiple of the rate, of which every so many-th is kept.
+    fn filter(&self, lead: f64) -> String {
+        let Self { cut, size: [width, height], is_mask, .. } = self;
+        let flags = if *is_mask { "neighbor" } else { "area" };
+        let (base, every) = (cut.fps * cut.every as f64, cut.every);
+        format!(
+            "setpts=PTS-{lead}/TB,fps=fps={base}:start_time=0,framestep={every},scale={width}:{height}:flags={flags},setsar=1"
+        )
+    }
+
+    fn call(&self, folder: &Path) -> Call {
+        let begin = self.cut.begins[self.camera];
+        // The frame nearest to the beginning may lie before it.
+        let lead = begin.min(0.5 / (self.cut.fps * self.cut.every as f64));
+        let name = if self.is_mask { "%05d.png" } else { "%05d.jpg" };
+        let form: &[&str] = if self.is_mask { &["-pix_fmt", "gray"] } else { &["-qmin", "1", "-q:v", "1"] };
+        Call::new(FFMPEG, folder, format!("take frames of {}", self.video.display()))
+            .args(["-nostdin", "-hide_banner", "-loglevel", "error", "-progress", "pipe:1", "-ss"])
+            .args([format!("{:.6}", begin - lead), "-i".to_owned()])
+            .args([input(self.video)])
+            .args(["-map", "0:v:0", "-vf", &self.filter(lead), "-frames:v", &self.cut.frames.to_string()])
+            .args(form)
+            .args(["-start_number", "0", "-f", "image2", name])
+    }
+
+    /// Takes the frames into the folder of the camera; they appear there when all are whole. Their number.
+    pub(crate) fn run(
+        &self,
+        runner: &Runner<'_>,
+        data: &Path,
+        work: &Path,
+        tell: &mut dyn FnMut(usize),
+    ) -> Result<usize, ImportError> {
+        let (part, parent) = (work.join("frames"), data.join(if self.is_mask { MASKS } else { IMAGES }));
+        clear(&part)?;
+        create(&part)?;
+        create(&parent)?;
+        let mut progress = |line: &str| {
+            line.strip_prefix("frame=").and_then(|n| n.trim().parse().ok()).into_iter().for_each(&mut *tell)
+        };
+        runner.run(self.call(&part), Sink::Lines(&mut progress))?;
+        let count = list(&part)?.len();
+        let place = parent.join(camera_name(self.camera));
+        disk::rename(&part, &place).map_err(ImportError::os("name the folder of frames", &place))?;
+        Ok(count)
+    }
+}
+
+/// The video of masks for a video: the file of the same stem in a folder.
+pub(crate) fn mask_video(masks: &Path, video: &Path) -> Result<PathBuf, ImportError> {
+    let stem = video.file_stem().unwrap_or_default();
+    let entries = fs::read_dir(masks).map_err(ImportError::os("list the folder of masks", masks))?;
+    let same = |p: &PathBuf| p.file_stem() == Some(stem) && p.is_file();
+    entries.flatten().map(|e| e.path()).find(same).ok_or_else(|| ImportError::Input {
+        what: format!("there is no video of masks for {}", video.display()),
+        path: masks.to_path_buf(),
+        why: "masks belong to videos by their names",
+        fix: format!("name it {}.mp4: white counts, black does not", stem.to_string_lossy()),
+    })
+}
+
+/// Checks that frames of a video and of its masks are those of the same times.
+pub(crate) fn check_masks(video: &Video, masks: &Video, path: &Path) -> Result<(), ImportError> {
+    if (video.seconds - masks.seconds).abs() <= 2.0 / video.fps {
+        return Ok(());
+    }
+    Err(ImportError::Input {
+        what: format!("the masks last {:.2} s, their video {:.2} s", masks.seconds, video.seconds),
+        path: path.to_path_buf(),
+        why: "masks are taken at the times of the frames",
+        fix: "give masks of the whole video, at its rate".to_owned(),
+    })
+}
+
+/// Cameras of a folder of images: its own images are those of one, else those of each folder in it. Names and files, in order.
+pub(crate) fn cameras_of(folder: &Path) -> Result<Vec<(String, Vec<PathBuf>)>, ImportError> {
+    let own = list(folder)?;
+    if !own.is_empty() {
+        return Ok(vec![(folder.display().to_string(), own)]);
+    }
+    let mut cameras = Vec::new();
+    for inside in folders(folder)? {
+        let files = list(&inside)?;
+        if !files.is_empty() {
+            cameras.push((inside.display().to_string(), files));
+        }
+    }
+    if cameras.is_empty() {
+        return Err(ImportError::Input {
+            what: "there are no images".to_owned(),
+            path: folder.to_path_buf(),
+            why: "PNG and JPEG files are looked for, here and one folder below",
+            fix: "give the folder that holds them".to_owned(),
+        });
+    }
+    Ok(cameras)
+}
+
+/// Copies the images of a camera, numbered in order; the masks of the same names with them.
+pub(crate) fn copy(
+    files: &[PathBuf],
+    masks: Option<&Path>,
+    data: &Path,
+    work: &Path,
+    camera: usize,
+) -> Result<(), ImportError> {
+    let mask_of = |file: &PathBuf| {
+        let masks = masks?;
+        Some(masks.join(file.file_stem()?).with_extension("png"))
+    };
+    for (parent, is_mask) in [(IMAGES, false), (MASKS, true)] {
+        if is_mask && masks.is_none() {
+            continue;
+        }
+        let (part, parent) = (work.join("frames"), data.join(parent));
+        clear(&part)?;
+        create(&part)?;
+        create(&parent)?;
+        for (k, file) in files.iter().enumerate() {
+            let from = if is_mask { mask_of(file).unwrap_or_default() } else { file.clone() };
+            let extension = from.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+            let to = part.join(format!("{k:05}.{extension}"));
+            fs::copy(&from, &to).map_err(ImportError::os("copy the image", &from))?;
+        }
+        let place = parent.join(camera_name(camera));
+        disk::rename(&part, &place).map_err(ImportError::os("name the folder of images", &place))?;
+    }
+    Ok(())
+}
+
+/// Images of a folder, in order of names, numbers by their value.
+pub(crate) fn list(folder: &Path) -> Result<Vec<PathBuf>, ImportError> {
+    let known = |p: &PathBuf| {
+        let extension = p.extension().map(|e| e.to_string_lossy().to_lowercase());
+        p.is_file() && extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str()))
+    };
+    sorted(folder, &known)
+}
+
+fn folders(folder: &Path) -> Result<Vec<PathBuf>, ImportError> {
+    sorted(folder, &|p: &PathBuf| p.is_dir())
+}
+
+fn sorted(folder: &Path, keep: &dyn Fn(&PathBuf) -> bool) -> Result<Vec<PathBuf>, ImportError> {
+    let entries = fs::read_dir(folder).map_err(ImportError::os("list the folder", folder))?;
+    let mut found: Vec<PathBuf> = entries.flatten().map(|e| e.path()).filter(keep).collect();
+    found.sort_by_key(|p| natural(&p.file_name().unwrap_or_default().to_string_lossy()));
+    Ok(found)
+}
+
+/// A key by which `img9` comes before `img10`.
+fn natural(name: &str) -> Vec<(u64, String)> {
+    let mut key = vec![(0, String::new())];
+    let mut digits = String::new();
+    for c in name.chars().chain(['\0']) {
+        if c.is_ascii_digit() {
+            digits.push(c);
+            continue;
+        }
+        if !digits.is_empty() {
+            key.push((digits.parse().unwrap_or(u64::MAX), std::mem::take(&mut digits)));
+            key.push((0, String::new()));
+        }
+        key.last_mut().into_iter().for_each(|k| k.1.push(c));
+    }
+    key
+}
+
+/// Creates a folder and those above it.
+pub(crate) fn create(folder: &Path) -> Result<(), ImportError> {
+    disk::create_folder(folder).map_err(ImportError::os("create the folder", folder))
+}
+
+/// Removes a folder of the import's own and all that is in it.
+pub(crate) fn clear(folder: &Path) -> Result<(), ImportError> {
+    match fs::remove_dir_all(folder) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(ImportError::os("remove the folder", folder)(e)),
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_keep_their_shape() {
+        assert_eq!(scaled([1920, 1080], 1.0, None), [1920, 1080]);
+        assert_eq!(scaled([1920, 1080], 0.5, Some(480)), [480, 270]);
+        assert_eq!(scaled([1080, 1920], 1.0, Some(4000)), [1080, 1920]);
+    }
+
+    #[test]
+    fn numbers_in_names_are_numbers() {
+        let mut names = ["b1.png", "img10.png", "img9.png", "img9a.png", "img009.png"];
+        names.sort_by_key(|n| natural(n));
+        assert_eq!(names, ["b1.png", "img009.png", "img9.png", "img9a.png", "img10.png"]);
+    }
+
+    #[test]
+    fn cameras_are_folders_or_the_folder_itself() {
+        let dir = tempfile::tempdir().unwrap();
+        let touch = |name: &str| {
+            fs::create_dir_all(dir.path().join(name).parent().unwrap()).unwrap();
+            fs::write(dir.path().join(name), "x").unwrap();
+        };
+        assert!(cameras_of(dir.path()).unwrap_err().to_string().contains("no images"));
+        ["right/2.JPG", "right/10.jpg", "left/1.png", "notes/a.txt"].iter().for_each(|name| touch(name));
+        let cameras = cameras_of(dir.path()).unwrap();
+        assert_eq!((cameras.len(), cameras[0].1.len(), cameras[1].1.len()), (2, 1, 2));
+        assert!(cameras[1].1[0].ends_with("right/2.JPG"));
+        copy(&cameras[1].1, None, dir.path(), &dir.path().join("work"), 1).unwrap();
+        assert!(dir.path().join("images/cam01/00001.jpg").is_file());
+        touch("own.png");
+        assert_eq!(cameras_of(dir.path()).unwrap().len(), 1);
+    }
+
+    /// Frame `k` of the video has the grey level `8 k`.
+    #[cfg(feature = "testkit")]
+    #[test]
+    fn the_nearest_frames_are_taken() {
+        use crate::testkit::{FPS, has, write_video};
+        if !has("ffmpeg", "-version") {
+            println!("SKIPPED the_nearest_frames_are_taken: ffmpeg is not installed");
+            return;
+        }
+        let dir = tempfile::tempdir().unwrap();
+        let video = dir.path().join("-v%d.mp4");
+        let frame =
+            |k: usize| gs_core::Image { width: 32, height: 32, channels: 3, data: vec![(8 * k) as f32 / 255.0; 3072] };
+        write_video(&video, &(0..30).map(frame).collect::<Vec<_>>()).unwrap();
+        let stop = std::sync::atomic::AtomicBool::new(false);
+        let runner = Runner { stop: &stop, log: dir.path().join("log") };
+        let fps = f64::from(FPS);
+        let cases = [
+            (0.0, fps, 1, [0, 1, 2]),
+            (6.6 / fps, fps, 1, [7, 8, 9]),
+            (2.0 / fps, fps / 4.0, 4, [2, 6, 10]),
+            (0.3 / fps, fps / 2.0, 2, [0, 2, 4]),
+        ];
+        for (camera, (begin, fps, every, expected)) in cases.into_iter().enumerate() {
+            let cut = Cut { fps, frames: 3, begins: vec![begin; 4], every };
+            let extraction = Extraction { video: &video, size: [16, 16], cut: &cut, camera, is_mask: camera == 3 };
+            let count = extraction.run(&runner, dir.path(), &dir.path().join("work"), &mut |_| {}).unwrap();
+            let parent = if camera == 3 { MASKS } else { IMAGES };
+            let files = list(&dir.path().join(parent).join(camera_name(camera))).unwrap();
+            let level =
+                |f: &PathBuf| (f64::from(gs_data::decode::decode(f, None).unwrap().pixel(8, 8)[0]) / 8.0).round();
+            let found: Vec<usize> = files.iter().map(|f| to_usize(level(f))).collect();
+            assert_eq!((count, found.as_slice()), (3, expected.as_slice()), "from {begin} s at {fps}");
+        }
+    }
+}

@@ -1,0 +1,206 @@
+//! `gs4d import`: with stand-ins for ffmpeg and COLMAP, and with the real programs on a film.
+
+use crate::support::{Call, command, gs4d, text};
+use gs4d_import::testkit::{FPS, arc, has, picture, write_video};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Answers as ffprobe does, about every video.
+const FFPROBE: &str = r#"[ "$1" = -version ] && exit 0
+echo '{"streams": [{"width": 64, "height": 48, "avg_frame_rate": "10/1", "duration": "2.0"}]}'"#;
+
+/// Grey frames of a rig at rest on the standard output, or copies of a picture as numbered files.
+const FFMPEG: &str = r#"[ "$1" = -version ] && exit 0
+for last; do :; done
+echo "$*" >> "$HERE/calls"
+case "$last" in
+pipe:1) i=0; while [ $i -lt 20 ]; do cat "$HERE/grey"; i=$((i+1)); done;;
+*) [ -e "$HERE/broken" ] && { echo "moov atom not found" >&2; exit 1; }
+   i=0; while [ $i -lt 20 ]; do cp "$HERE/picture.jpg" "$(printf %05d $i).jpg"; i=$((i+1)); done;;
+esac"#;
+
+/// Knows the options of two versions, and gives each image a pose.
+const COLMAP: &str = r#"case "$2" in --help) echo "  --FeatureExtraction.use_gpu arg (=1)"; echo "  --SiftMatching.use_gpu arg (=1)"; exit 0;; esac
+echo "$*" >> "$HERE/calls"
+case "$1" in
+feature_extractor) cat import/list.txt >> import/database.db; echo "Processed file [1/1]";;
+exhaustive_matcher) if [ -e "$HERE/slow" ]; then touch "$HERE/begun"; exec sleep 60; fi;;
+mapper) mkdir import/sparse/0; cd import/sparse/0
+  echo "1 SIMPLE_RADIAL 64 48 60 32 24 0.01" > cameras.txt
+  i=0; while read -r name; do i=$((i+1))
+    case "$name" in cam00/*) x=-1;; cam01/*) [ -e "$HERE/lost" ] && continue; x=0;; *) x=1;; esac
+    printf '%s 1 0 0 0 %s 0 4 1 %s\n\n' $i $x "$name"; done < ../../database.db > images.txt
+  printf '1 0 0 0 200 10 10 0.5 1 0\n2 0.3 0.2 0.1 10 200 10 0.5 1 0\n' > points3D.txt;;
+model_analyzer) echo "Mean reprojection error: 0.5px";;
+esac"#;
+
+/// A folder with three videos and the stand-ins.
+struct Desk {
+    dir: tempfile::TempDir,
+}
+
+impl Desk {
+    fn new() -> Self {
+        let desk = Self { dir: tempfile::tempdir().unwrap() };
+        fs::create_dir(desk.at("bin")).unwrap();
+        let noise = |x: u32, y: u32| (((x * 7919 + y * 104_729).wrapping_mul(2_654_435_761)) >> 24) as u8;
+        let grey: Vec<u8> = (0..240 * 180).map(|k: u32| noise(k % 240 / 3, k / 240 / 3)).collect();
+        fs::write(desk.at("grey"), grey).unwrap();
+        let picture = gs_core::Image {
+            width: 64,
+            height: 48,
+            channels: 3,
+            data: (0..64 * 48 * 3).map(|k: u32| f32::from(noise(k / 3 % 64, k / 192)) / 255.0).collect(),
+        };
+        gs_core::io::images::save_png(&desk.at("picture.jpg"), &picture, false).unwrap();
+        for name in ["-a.mp4", "b c.mp4", "d%d$x.mp4"] {
+            fs::write(desk.at(name), "a video").unwrap();
+        }
+        desk
+    }
+
+    fn at(&self, name: &str) -> PathBuf {
+        self.dir.path().join(name)
+    }
+
+    fn stand_in(&self, program: &str, script: &str) {
+        use std::os::unix::fs::PermissionsExt;
+        let file = self.at("bin").join(program);
+        let head = format!("#!/bin/sh\nPATH=/usr/bin:/bin\nHERE='{}'\n", self.dir.path().display());
+        fs::write(&file, head + script).unwrap();
+        fs::set_permissions(&file, fs::Permissions::from_mode(0o755)).unwrap();
+    }
+
+    fn all(self) -> Self {
+        [("ffprobe", FFPROBE), ("ffmpeg", FFMPEG), ("colmap", COLMAP)].iter().for_each(|(p, s)| self.stand_in(p, s));
+        self
+    }
+
+    fn command(&self, more: &[&str]) -> std::process::Command {
+        let mut all = vec!["import", "-o", "data"];
+        all.extend_from_slice(more);
+        all.extend(["--", "-a.mp4", "b c.mp4", "d%d$x.mp4"]);
+        let mut command = command(&all);
+        command.current_dir(self.dir.path()).env("PATH", self.at("bin"));
+        command
+    }
+
+    fn import(&self, more: &[&str]) -> Call {
+        Call::of(&self.command(more).output().unwrap())
+    }
+
+    /// How often the stand-ins were asked for something.
+    fn calls(&self, word: &str) -> usize {
+        fs::read_to_string(self.at("calls")).unwrap_or_default().lines().filter(|l| l.contains(word)).count()
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn programs_that_are_not_there_are_named_with_their_package() {
+    let desk = Desk::new();
+    desk.import(&[]).fails(2, &["colmap is not on the PATH", "apt install colmap", "goes on"]);
+    desk.stand_in("colmap", COLMAP);
+    desk.import(&[]).fails(2, &["ffmpeg is not on the PATH", "apt install ffmpeg"]);
+    gs4d(&["import", "-o", "x"]).fails(2, &["VIDEO"]);
+    gs4d(&["import", "a.mp4"]).fails(2, &["--out"]);
+    gs4d(&["import", "a.mp4", "-o", "x", "--images", "y"]).fails(2, &["cannot be used with"]);
+    gs4d(&["import", "/no/such.mp4", "-o", text(&desk.at("x"))]).fails(6, &["/no/such.mp4"]);
+    assert!(!desk.at("x").exists());
+}
+
+#[cfg(unix)]
+#[test]
+fn a_program_that_fails_is_quoted_and_what_was_done_is_kept() {
+    let desk = Desk::new().all();
+    fs::write(desk.at("broken"), "").unwrap();
+    let words =
+        ["3 cameras that stand still", "ffmpeg failed", "take frames of", "| moov atom not found", "import/log.txt"];
+    desk.import(&[]).fails(6, &words);
+    assert_eq!(desk.calls("rawvideo"), 3);
+    fs::remove_file(desk.at("broken")).unwrap();
+    fs::write(desk.at("lost"), "").unwrap();
+    desk.import(&[]).fails(3, &["could not place cam01 (b c.mp4)", "30 degrees"]);
+    assert_eq!((desk.calls("rawvideo"), desk.calls("exhaustive_matcher")), (3, 2), "two attempts, and no second look");
+    // Other settings are another import.
+    desk.import(&["--moments", "2"]).fails(6, &["moments was null", "-f"]);
+    fs::remove_file(desk.at("lost")).unwrap();
+    let done = desk.import(&[]);
+    let said = format!("{}{}", done.out, done.err);
+    assert!(said.contains("cam01  20 frames  b c.mp4"), "{said}");
+    assert!(said.contains("reprojection error 0.50") && said.contains("gs4d train data"), "{said}");
+    assert!(desk.calls("--FeatureExtraction.use_gpu 0") > 0 && desk.calls("--SiftMatching.use_gpu 0") > 0);
+    for file in ["transforms.json", "points.ply", "start.ply", "scene.toml", "doctor.html", "images/cam02/00019.jpg"] {
+        assert!(desk.at("data").join(file).is_file(), "{file}");
+    }
+    let calls = desk.calls("");
+    let again = desk.import(&["--json", "-q"]);
+    assert!(again.out.contains("\"fps\": 10"), "{}{}", again.out, again.err);
+    assert_eq!(desk.calls(""), calls, "a finished import is not done again");
+    // A folder of somebody's own is nobody's to clear.
+    fs::create_dir(desk.at("own")).unwrap();
+    fs::write(desk.at("own/notes.txt"), "mine").unwrap();
+    let call = command(&["import", "b c.mp4", "-o", "own", "-f"]).current_dir(desk.dir.path()).output().unwrap();
+    Call::of(&call).fails(6, &["not empty", "-o"]);
+    assert_eq!(fs::read_dir(desk.at("own")).unwrap().count(), 1);
+}
+
+#[cfg(unix)]
+#[test]
+fn an_import_that_is_stopped_ends_its_programs_and_goes_on() {
+    let desk = Desk::new().all();
+    fs::write(desk.at("slow"), "").unwrap();
+    let mut child = desk.command(&["-q"]).stderr(std::process::Stdio::piped()).spawn().unwrap();
+    let begun = std::time::Instant::now();
+    while !desk.at("begun").exists() && begun.elapsed().as_secs() < 60 {
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    let id = child.id().to_string();
+    assert!(std::process::Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+    let status = child.wait().unwrap();
+    assert_eq!(status.code(), Some(130));
+    assert!(begun.elapsed().as_secs() < 50, "the program is not waited for");
+    fs::remove_file(desk.at("slow")).unwrap();
+    let extracted = desk.calls("feature_extractor");
+    let done = desk.import(&[]);
+    assert!(done.out.contains("now: gs4d train data"), "{}{}", done.out, done.err);
+    assert_eq!(desk.calls("feature_extractor"), extracted, "features are not found again");
+}
+
+/// Films by four cameras of a moving scene, imported by the real programs and trained on.
+#[test]
+#[ignore = "COLMAP and training take minutes: cargo test -p gs4d --test cli import::films -- --ignored --nocapture"]
+fn films_become_a_scene() {
+    if !(has("ffmpeg", "-version") && has("colmap", "help")) {
+        println!("SKIPPED films_become_a_scene: ffmpeg and colmap are not both installed");
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    let film = |k: usize| {
+        let camera = arc(k as f64, 6.0, 75.0, [320, 240]);
+        let frames: Vec<_> = (0..40).map(|i| picture(&camera, f64::from(i) / f64::from(FPS))).collect();
+        let file = at(&format!("{k}.mp4"));
+        write_video(&file, &frames).unwrap();
+        text(&file).to_owned()
+    };
+    let videos: Vec<String> = (0..6).map(film).collect();
+    let (data, run) = (at("data"), at("run"));
+    let mut all = vec!["import", "-o", text(&data), "--moments", "2"];
+    all.extend(videos.iter().map(String::as_str));
+    let call = gs4d(&all);
+    println!("{}{}", call.err, call.out);
+    assert_eq!(call.code, 0);
+    let psnr = trained(&data, &run);
+    assert!(psnr >= 25.0, "{psnr}");
+}
+
+/// Trains, and gives the mean PSNR of the held-out views.
+fn trained(data: &Path, run: &Path) -> f64 {
+    let all = ["train", text(data), "-m", "fourdgs", "--preset", "fast", "--steps", "3000", "-o", text(run), "--quiet"];
+    let call = gs4d(&all);
+    assert_eq!(call.code, 0, "{}", call.err);
+    println!("{}", call.out);
+    let scores = gs4d(&["eval", text(run), "--json"]).json();
+    scores["mean"]["psnr"].as_f64().unwrap()
+}
