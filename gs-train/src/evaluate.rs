@@ -8,6 +8,11 @@
 //! ([`MaskedScores`]: DyCheck's masked PSNR and SSIM, [`gs_metrics::masked`]; DyCheck itself truncates drawings to 8 bit
 //! first).
 
+mod placed;
+
+pub use placed::{RefinedCameras, place};
+
+use crate::cameras::Correction;
 use crate::method::MethodError;
 use crate::model::Model;
 use crate::ranks::{Share, ShareError};
@@ -111,6 +116,9 @@ pub struct ViewScores {
     /// Scores where the view's mask counts; absent without a mask, or with an empty one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub masked: Option<MaskedScores>,
+    /// The correction that the view's camera was rendered with, where cameras were refined.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera: Option<Correction>,
 }
 
 /// Means of [`ViewScores`] over the views of a split.
@@ -162,6 +170,9 @@ pub struct EvalReport {
     pub train_seconds: Option<f64>,
     /// The scores of each view.
     pub views: Vec<ViewScores>,
+    /// How cameras were corrected, where they were.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cameras: Option<RefinedCameras>,
     /// The scores beyond the last training time, in `metrics.json` of a run whose data have such views.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub extrapolate: Option<Box<EvalReport>>,
@@ -263,9 +274,10 @@ pub fn evaluate_splats(
     let options = model.raster_options(background);
     let (mut workspace, mut frame, mut scorer) =
         (Workspace::new(), Frame::default(), Scorer::new(SsimOptions::default()));
+    let corrections = place(model, splats, views, background, images, share)?;
     let scored = share.each(views.len(), |k| {
         let view = &views[k];
-        let camera = images.camera(view);
+        let camera = corrections[k].unwrap_or_default().apply(&images.camera(view));
         let splats = splats(&Timestamp::new(view.time), &camera);
         let splats = splats.map_err(|e| EvalError::Method { view: view.name.clone(), source: Box::new(e) })?;
         render_into(&splats, &camera, &options, &mut workspace, &mut frame);
@@ -277,6 +289,7 @@ pub fn evaluate_splats(
         let scored = scorer
             .score(&rendered, &truth)
             .and_then(|scores| Ok((ViewScores::of(view, &scores, &rendered, &truth, mask.as_deref())?, scores.mse)));
+        let scored = scored.map(|(scores, mse)| (ViewScores { camera: corrections[k], ..scores }, mse));
         scored.map_err(|source| EvalError::Metric { view: view.name.clone(), source })
     })?;
     let scores: Vec<Scores> = scored.iter().map(|(view, mse)| view.with_mse(*mse)).collect();
@@ -295,6 +308,7 @@ pub fn evaluate_splats(
         parameter_bytes: 4 * model.param_count() as u64,
         train_seconds: None,
         views,
+        cameras: RefinedCameras::of(model),
         extrapolate: None,
     })
 }
@@ -351,6 +365,7 @@ impl ViewScores {
             perceptual_proxy: scores.perceptual_proxy,
             laplacian_ratio: sharpness.and_then(|s| s.laplacian),
             high_band_ratio: sharpness.and_then(|s| s.high_band),
+            camera: None,
             masked: mask.map(|m| MaskedScores::of(image, truth, m)).transpose()?.flatten(),
         })
     }

@@ -11,6 +11,7 @@
 //!   [`layers`]: the settings that several methods share.
 //! * `conformance` (cargo feature of that name): what every method must keep, as checks for its tests. `testkit` (the same): short runs.
 //! * [`report`]: the section that a method adds to the report of a run.
+//! * [`cameras`]: corrections of training cameras that are learnt with the scene.
 //! * [`ranks`]: processes that make every step together, with the bits of one.
 //! * [`checkpoint`], [`saved`]: atomic files of the whole state; [`evaluate`], [`renderer`]: scores and images of a method.
 //!
@@ -21,6 +22,7 @@
 
 pub mod ablate;
 pub mod adam;
+pub mod cameras;
 #[cfg(feature = "cloud")]
 pub mod canonical;
 pub mod capabilities;

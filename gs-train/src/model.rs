@@ -1,5 +1,7 @@
 //! A method with the schedule it is trained by.
 
+use crate::adam::Update;
+use crate::cameras::{CameraConfig, Cameras, KnownCamera};
 use crate::capabilities::{Capabilities, FreezeOptions, FreezeReport, Overlay, Quantity, StageView};
 use crate::loss::{ImageLoss, LossTerm};
 use crate::method::{Method, MethodError};
@@ -19,6 +21,7 @@ pub struct Model {
     schedule: Schedule,
     /// Terms of the image loss beside those of the schedule, with their weights.
     losses: Vec<(f32, Box<dyn LossTerm>)>,
+    cameras: Cameras,
 }
 
 impl Model {
@@ -28,7 +31,8 @@ impl Model {
     /// If the schedule cannot be followed.
     pub fn new(name: &'static str, method: impl Method + 'static, schedule: Schedule) -> Result<Self, MethodError> {
         schedule.check()?;
-        let mut model = Self { name, method: Box::new(method), schedule, losses: Vec::new() };
+        let (losses, cameras) = Default::default();
+        let mut model = Self { name, method: Box::new(method), schedule, losses, cameras };
         model.begin_step(0);
         Ok(model)
     }
@@ -37,6 +41,36 @@ impl Model {
     pub fn with_loss(mut self, weight: f32, term: impl LossTerm + 'static) -> Self {
         self.losses.push((weight, Box::new(term)));
         self
+    }
+
+    /// The same with corrections of zero for cameras.
+    pub(crate) fn with_cameras(self, config: CameraConfig, known: Vec<KnownCamera>) -> Self {
+        Self { cameras: Cameras::new(config, known), ..self }
+    }
+
+    /// Corrections of the training cameras; empty where none are learnt.
+    pub fn cameras(&self) -> &Cameras {
+        &self.cameras
+    }
+
+    /// The same, to change them.
+    pub(crate) fn cameras_mut(&mut self) -> &mut Cameras {
+        &mut self.cameras
+    }
+
+    /// How a parameter is updated in a step, if it learns then; `extent` is that of the scene, world units. Corrections of
+    /// cameras rest while only the field learns.
+    pub(crate) fn update(&self, p: &Param, step: u32, extent: f32) -> Option<Update> {
+        if !Cameras::owns(&p.name) {
+            return self.schedule.update(p, step, extent);
+        }
+        let share = f64::from(step.saturating_sub(1)) / f64::from(self.schedule.steps().max(1));
+        self.cameras.update(&p.name, share, extent).filter(|_| !self.schedule.field_alone(step))
+    }
+
+    /// Whether corrections of cameras learn in a step.
+    pub(crate) fn refines_cameras(&self, step: u32) -> bool {
+        self.cameras.blocks().iter().any(|p| self.update(p, step, 1.0).is_some())
     }
 
     /// The image loss of the schedule and the terms of the method's own, which it takes from the model.
@@ -136,17 +170,22 @@ impl Model {
     }
 
     fn with(&self, method: Box<dyn Method>) -> Self {
-        Self { name: self.name, method, schedule: self.schedule.clone(), losses: Vec::new() }
+        let (schedule, cameras) = (self.schedule.clone(), self.cameras.clone());
+        Self { name: self.name, method, schedule, losses: Vec::new(), cameras }
     }
 }
 
+/// The blocks of the method, then the corrections of cameras. Where [`Params`] is not imported, `model.visit` is that of the
+/// method alone.
 impl Params for Model {
     fn visit(&self, f: &mut dyn FnMut(&Param)) {
         self.method.visit(f);
+        self.cameras.blocks().iter().for_each(f);
     }
 
     fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
         self.method.visit_mut(f);
+        self.cameras.blocks_mut().iter_mut().for_each(f);
     }
 }
 

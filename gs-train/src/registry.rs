@@ -1,5 +1,6 @@
 //! The methods a program offers, by name, with their settings.
 
+use crate::cameras::CameraConfig;
 use crate::domains::{self, Domain};
 use crate::error::MethodError;
 use crate::model::Model;
@@ -84,13 +85,18 @@ pub struct MethodEntry {
 }
 
 impl MethodEntry {
-    /// The method for a scene, from a resolved configuration.
+    /// The method for a scene, from a resolved configuration. Section `[cameras]` is the trainer's, and no method sees it.
     ///
     /// # Errors
     /// A setting outside its domain, or those of [`Self::build`].
     pub fn model(&self, config: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
         self.check(config)?;
-        (self.build)(config, scene)
+        let mut own = config.clone();
+        let cameras = match own.remove("cameras") {
+            Some(toml::Value::Table(cameras)) => parse_config(self.name, &cameras)?,
+            _ => CameraConfig::default(),
+        };
+        Ok((self.build)(&own, scene)?.with_cameras(cameras, Vec::new()))
     }
 
     /// Fails for the first number of a configuration outside its domain.

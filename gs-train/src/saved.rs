@@ -4,13 +4,14 @@
 //! the step and the optimiser's counters; tensors are every parameter `NAME`, its moments `NAME#m1`, `NAME#m2`, and the
 //! growth statistics.
 
+use crate::cameras::KnownCamera;
 use crate::checkpoint::Checkpoint;
 use crate::method::{BufferMut, MethodError};
 use crate::model::Model;
 use crate::registry::Registry;
 use crate::scene::{MAX_PARAMETERS, SceneInfo};
 use glam::Vec3;
-use gs_core::Param;
+use gs_core::{Param, Params};
 use gs_data::PointCloud;
 use gs_data::avatar::AvatarScene;
 use serde::{Deserialize, Serialize};
@@ -72,6 +73,9 @@ struct Meta {
     step: u32,
     adam_updates: BTreeMap<String, u32>,
     train_seconds: f64,
+    /// Training cameras that have corrections.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    corrected_cameras: Vec<KnownCamera>,
 }
 
 /// The state of a method and its run.
@@ -100,6 +104,7 @@ fn meta(model: &Model, run: &RunState) -> serde_json::Value {
         step: run.step,
         adam_updates: run.adam_updates.clone(),
         train_seconds: run.train_seconds,
+        corrected_cameras: model.cameras().known().to_vec(),
     };
     // A structure of names and finite numbers always has a JSON form.
     serde_json::to_value(meta).unwrap_or_default()
@@ -170,7 +175,9 @@ pub fn load_with(
         max_parameters,
     };
     let config = config.unwrap_or(&meta.config).clone();
-    let mut model = entry.model(&config, &scene).map_err(|e| e.to_string())?;
+    let model = entry.model(&config, &scene).map_err(|e| e.to_string())?;
+    let cameras = *model.cameras().config();
+    let mut model = model.with_cameras(cameras, meta.corrected_cameras);
     restore(&mut model, &checkpoint.tensors)?;
     model.begin_step(meta.step);
     let (adam_updates, train_seconds) = (meta.adam_updates, meta.train_seconds);

@@ -15,7 +15,7 @@ use crate::registry::{Registry, section};
 use crate::saved;
 use crate::scene::{InitConfig, SceneInfo};
 use crate::schedule::{FIELD, Schedule};
-use gs_core::Param;
+use gs_core::{Param, Params};
 use gs_data::{Dataset, ImageCache};
 use serde::Serialize;
 use std::borrow::Cow;
@@ -134,6 +134,8 @@ impl Trainer {
         options: TrainOptions,
     ) -> Result<Self, TrainError> {
         check_run(&model, &dataset)?;
+        let middle = 0.5 * (scene.bounds[0] + scene.bounds[1]);
+        model.cameras_mut().meet(&dataset.train, middle.as_dvec3(), scene.extent);
         let images = Arc::new(ImageCache::new(options.image_bytes, 1.0));
         let order = ViewOrder::new(options.seed, dataset.train.iter().map(|v| v.time.normalised).collect());
         let (adam, pass, config, updates) = (
@@ -303,11 +305,11 @@ impl Trainer {
             self.adam.restart();
         }
         self.model.begin_step(step);
-        let (schedule, extent, updates) = (self.model.schedule(), self.scene.extent, &mut self.updates);
-        self.model.visit(&mut |p| match updates.get_mut(&p.name) {
-            Some(update) => *update = schedule.update(p, step, extent),
+        let (model, extent, updates) = (&self.model, self.scene.extent, &mut self.updates);
+        model.visit(&mut |p| match updates.get_mut(&p.name) {
+            Some(update) => *update = model.update(p, step, extent),
             None => {
-                updates.insert(p.name.clone(), schedule.update(p, step, extent));
+                updates.insert(p.name.clone(), model.update(p, step, extent));
             }
         });
     }

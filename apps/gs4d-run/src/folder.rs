@@ -10,6 +10,7 @@
 //! RUN/checkpoints/           step-012000.gs4d …, latest
 //! RUN/continual.json         scores of each round, if the run is trained in rounds
 //! RUN/metrics.json           scores per view and their means
+//! RUN/refined-cameras.json   the corrected training cameras, where they were learnt
 //! RUN/renders/               images; names carry step, time and camera
 //! RUN/report.html            the report
 //! ```
@@ -38,6 +39,8 @@ pub const JOURNAL: &str = "journal.jsonl";
 pub const ROUNDS: &str = "continual.json";
 /// File of the scores of the finished run.
 pub const METRICS: &str = "metrics.json";
+/// File of the corrected training cameras, in runs that learn them.
+pub const REFINED_CAMERAS: &str = "refined-cameras.json";
 /// File of the HTML report.
 pub const REPORT: &str = "report.html";
 /// File of what is kept of the data: timestamps, splits, a few cameras.

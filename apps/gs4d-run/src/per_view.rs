@@ -76,6 +76,7 @@ mod tests {
             laplacian_ratio: None,
             high_band_ratio: None,
             masked: None,
+            camera: None,
         };
         EvalReport {
             method: "m".into(),
@@ -98,6 +99,7 @@ mod tests {
             parameter_bytes: 4,
             train_seconds: None,
             views: views.iter().enumerate().map(score).collect(),
+            cameras: None,
             extrapolate,
         }
     }

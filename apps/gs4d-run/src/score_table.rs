@@ -3,7 +3,7 @@
 use super::RunError;
 use super::summary::{ReportInput, color_name};
 use gs_data::{Dataset, ImageCache, Split, View};
-use gs_train::evaluate::{EvalReport, MaskedScores, ViewScores};
+use gs_train::evaluate::{EvalReport, MaskedScores, RefinedCameras, ViewScores};
 use gs_train::renderer::Renderer;
 use gs4d_report::Comparison;
 use std::collections::BTreeSet;
@@ -39,7 +39,7 @@ pub(super) fn comparisons(
     let mut out = Vec::new();
     for place in places(ranked.len()) {
         let (view, scores) = ranked[place];
-        let camera = m.images.camera(view);
+        let camera = scores.camera.unwrap_or_default().apply(&m.images.camera(view));
         let truth = m.images.get(view)?.over(m.scores.background);
         let psnr = scores.psnr.map_or("perfect".to_owned(), |p| format!("{p:.2} dB"));
         let time = view.time.normalised;
@@ -76,7 +76,12 @@ pub(crate) fn conditions(dataset: &Dataset, images: &ImageCache, scores: &EvalRe
     };
     let views = dataset.views(split_of(scores));
     let background = color_name(scores.background);
-    format!("{} {} views, {}, over {background}, {masked}.", views.len(), scores.split, size_text(views, images))
+    let refined = scores.cameras.as_ref().map_or(String::new(), |c| {
+        let RefinedCameras { count, turn, shift, held_out, .. } = c;
+        format!(" Cameras: {count} corrections, {turn:.3}° and {shift:.4} world units (root mean squares); {held_out}.")
+    });
+    let size = size_text(views, images);
+    format!("{} {} views, {size}, over {background}, {masked}.{refined}", views.len(), scores.split)
 }
 
 /// Width and height of views, or the range of sizes.
@@ -168,6 +173,7 @@ mod tests {
             laplacian_ratio: None,
             high_band_ratio: None,
             masked: None,
+            camera: None,
         };
         let scores = EvalReport {
             method: "m".into(),
@@ -190,6 +196,7 @@ mod tests {
             parameter_bytes: 4,
             train_seconds: None,
             views: vec![view("a", 20.0, 0.1), view("b", 30.0, 0.3), view("c", 22.0, 0.2)],
+            cameras: None,
             extrapolate: None,
         };
         let rows = score_rows(&scores);

@@ -13,6 +13,7 @@ use super::ranks;
 use super::saving::Patience;
 use super::settings::{self, Resolved};
 use super::summary::{ReportInput, build_report};
+use gs_core::io::cameras::{NamedCamera, save_cameras};
 use gs_core::io::write_file;
 use gs_data::{Dataset, ImageCache, Split};
 use gs_train::checkpoint::{self, Newest, Skipped};
@@ -361,7 +362,7 @@ impl Training {
     }
 
     /// Scores the test views, or the training views where there are none, and beside them the views beyond the last training
-    /// time where there are any; writes `metrics.json`.
+    /// time where there are any; writes `metrics.json`, and `refined-cameras.json` where cameras were refined.
     ///
     /// # Errors
     /// If an image cannot be read or the file cannot be written.
@@ -369,7 +370,21 @@ impl Training {
         let mut report = self.trainer.evaluate(&self.images())?;
         report.train_seconds = Some(self.trainer.train_seconds());
         self.folder.write(folder::METRICS, &format!("{:#}\n", metrics_json(&report, self.trainer.steps_done())))?;
+        let refined = self.refined_cameras();
+        if !refined.is_empty() {
+            save_cameras(&self.folder.root().join(folder::REFINED_CAMERAS), &refined, true)?;
+        }
         Ok(report)
+    }
+
+    /// The training cameras as they were corrected, in the order of views; empty where they were not.
+    fn refined_cameras(&self) -> Vec<NamedCamera> {
+        let corrections = self.trainer.model().cameras();
+        let refined = self.trainer.dataset().train.iter().filter_map(|view| {
+            let camera = corrections.of(view)?.apply(&view.camera);
+            Some(NamedCamera { name: view.name.clone(), camera, time: Some(view.time.normalised) })
+        });
+        refined.collect()
     }
 
     /// Writes `report.html` for these scores, and the renders shown in it to `renders/`.

@@ -62,7 +62,7 @@ pub fn scene(method: &str) -> Result<Loaded, Error> {
         avatar: None,
         max_parameters: gs_train::scene::MAX_PARAMETERS,
     };
-    let model = (entry.build)(&config, &scene)?;
+    let model = entry.model(&config, &scene)?;
     let adam_updates = BTreeMap::from([("cloud.means".to_owned(), 40)]);
     let state = RunState { config: &config, scene: &scene, step: 40, adam_updates: &adam_updates, train_seconds: 1.5 };
     Ok(saved::load(registry, &saved::save(&model, &state), None)?)

@@ -140,12 +140,15 @@ impl Trainer {
         let (draw, view) = views.drawn[leaf];
         let schedule = self.model.schedule();
         let background = schedule.background.color(self.options.seed, draw);
-        let camera = self.images.camera(view);
+        let given = self.images.camera(view);
+        let row = self.model.cameras().row(view);
+        let camera = row.map_or_else(|| given.clone(), |row| self.model.cameras().correction(row).apply(&given));
         let mut pass = ViewPass {
             pass: &mut self.pass,
             images: &self.images,
             view,
             camera: &camera,
+            camera_grad: row.filter(|_| self.model.refines_cameras(views.step)).map(|_| Default::default()),
             options: schedule.raster_options(background),
             share: 1.0 / views.drawn.len() as f32,
             result: ViewLoss::default(),
@@ -153,7 +156,7 @@ impl Trainer {
         };
         let last = leaf == views.last();
         let terms = self.model.step(&ViewCtx { at: Timestamp::new(view.time), camera: &camera, last }, &mut pass);
-        let ViewPass { mut result, data_error, .. } = pass;
+        let ViewPass { mut result, data_error, camera_grad, .. } = pass;
         if let Some(e) = data_error {
             return Err(e.into());
         }
@@ -163,6 +166,9 @@ impl Trainer {
             }
             other => other.into(),
         })?;
+        if let (Some(row), Some(grad)) = (row, camera_grad) {
+            self.model.cameras_mut().add_gradient(row, &given, &grad);
+        }
         result.own = terms.into_iter().map(|(name, value)| (name.into(), value)).collect();
         let ms = &mut result.ms;
         ms.field = clock.lap() - ms.data - ms.raster_forward - ms.loss - ms.raster_backward;

@@ -5,7 +5,10 @@ use crate::method::{MethodError, RenderView};
 use crate::non_finite::{NonFinite, zero_non_finite};
 use gs_core::{Camera, Image, SplatsGrad, SplatsRef};
 use gs_data::{DataError, ImageCache, ImageU8, View};
-use gs_raster::{Frame, FrameGrad, RasterOptions, ScreenStats, Workspace, render_backward_into, render_into};
+use gs_raster::{
+    CameraGrad, Frame, FrameGrad, RasterOptions, ScreenStats, Workspace, render_backward_into,
+    render_backward_with_camera, render_into,
+};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -63,6 +66,8 @@ pub(super) struct ViewPass<'a> {
     pub images: &'a ImageCache,
     pub view: &'a View,
     pub camera: &'a Camera,
+    /// Gradient with respect to the camera, where that learns.
+    pub camera_grad: Option<CameraGrad>,
     /// How to render, over the background of this view.
     pub options: RasterOptions,
     /// Share of this view in the loss of the step.
@@ -115,7 +120,13 @@ impl RenderView for ViewPass<'_> {
             [rgb, alpha, depth].into_iter().flatten().for_each(|g| *g *= self.share);
         }
         ms.loss += clock.lap();
-        render_backward_into(splats, self.camera, &self.options, workspace, d_frame, grad, stats);
+        match &mut self.camera_grad {
+            Some(sum) => {
+                *sum +=
+                    render_backward_with_camera(splats, self.camera, &self.options, workspace, d_frame, grad, stats);
+            }
+            None => render_backward_into(splats, self.camera, &self.options, workspace, d_frame, grad, stats),
+        }
         if self.share != 1.0 {
             stats.grad_means2d.as_flattened_mut().iter_mut().for_each(|g| *g /= self.share);
         }

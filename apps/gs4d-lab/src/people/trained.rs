@@ -113,7 +113,8 @@ impl Trained {
     /// # Errors
     /// If the template of `film` is a different one, or settings are invalid.
     pub fn on(&self, film: &Dataset, changes: &[&str]) -> Result<Dut, LabError> {
-        let config = self.config(changes)?;
+        let mut config = self.config(changes)?;
+        config.remove("cameras");
         let init: InitConfig = section(ENTRY.name, &config, "init")?;
         let parsed: Config = parse_config(ENTRY.name, &config)?;
         let schedule = parsed.schedule.trainer.clone();

@@ -1,8 +1,8 @@
 //! Making a run folder so that it is there whole or not at all.
 
 use super::{
-    Beginning, CAMERAS, CHECKPOINTS, CONFIG, DATA, HISTOGRAMS, JOURNAL, LOCK, LOG, METRICS, PROVENANCE, RENDERS,
-    REPORT, ROUNDS, RunError, is_run, lock,
+    Beginning, CAMERAS, CHECKPOINTS, CONFIG, DATA, HISTOGRAMS, JOURNAL, LOCK, LOG, METRICS, PROVENANCE,
+    REFINED_CAMERAS, RENDERS, REPORT, ROUNDS, RunError, is_run, lock,
 };
 use gs_core::io::{disk, folder_of, is_temporary, remove_abandoned, temporary_beside, write_file};
 use std::fs::{self, File};
@@ -90,7 +90,7 @@ fn fill(folder: &Path, beginning: &Beginning<'_>) -> Result<(), RunError> {
 
 /// Removes the results of an older run, by name.
 fn remove_results(root: &Path) -> Result<(), RunError> {
-    for name in [CAMERAS, METRICS, REPORT, ROUNDS, LOG, HISTOGRAMS, JOURNAL] {
+    for name in [CAMERAS, METRICS, REFINED_CAMERAS, REPORT, ROUNDS, LOG, HISTOGRAMS, JOURNAL] {
         let path = root.join(name);
         disk::remove_file(&path).map_err(|e| RunError::io("remove", &path, e))?;
     }

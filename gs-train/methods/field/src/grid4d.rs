@@ -138,6 +138,7 @@ mod tests {
     fn config(method: &'static str, ablate: &str) -> Config {
         let mut table = METHODS.iter().find(|m| m.name == method).unwrap().config("tiny").unwrap();
         table.insert("ablate".into(), ablate.into());
+        table.remove("cameras");
         let mut config: Config = parse_config(method, &table).unwrap();
         config.ablate.clone().apply(GRID4D, &mut config).unwrap();
         config
