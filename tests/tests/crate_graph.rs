@@ -36,7 +36,10 @@ const APPS: &[(&str, &[&str])] = &[
     ("gs4d-import", &[]),
     ("gs4d-lab", &["gs4d-eval", "gs4d-report", "gs4d-run"]),
     ("gs4d-view", &["gs4d-eval", "gs4d-player", "gs4d-report", "gs4d-run"]),
-    ("gs4d", &["gs4d-doctor", "gs4d-eval", "gs4d-import", "gs4d-lab", "gs4d-player", "gs4d-report", "gs4d-run", "gs4d-view"]),
+    (
+        "gs4d",
+        &["gs4d-doctor", "gs4d-eval", "gs4d-import", "gs4d-lab", "gs4d-player", "gs4d-report", "gs4d-run", "gs4d-view"],
+    ),
     ("gs4d-mpi", &["gs4d"]),
     ("gs4d-py", &["gs4d-run"]),
 ];
