@@ -197,7 +197,7 @@ fn films_become_a_scene() {
 
 /// Trains, and gives the mean PSNR of the held-out views.
 fn trained(data: &Path, run: &Path) -> f64 {
-    let all = ["train", text(data), "-m", "fourdgs", "--preset", "fast", "--steps", "3000", "-o", text(run), "--quiet"];
+    let all = ["train", text(data), "-m", "fourdgs", "--preset", "fast", "--steps", "6000", "-o", text(run), "--quiet"];
     let call = gs4d(&all);
     assert_eq!(call.code, 0, "{}", call.err);
     println!("{}", call.out);
