@@ -39,20 +39,24 @@ pub(crate) fn instead_of(path: &Path) -> String {
     }
     let folders = inside.iter().filter(|p| p.is_dir()).chain([&path.to_path_buf()]).cloned().collect::<Vec<_>>();
     match folders.iter().find(|folder| entries(folder).iter().filter(|p| ends_in(p, &IMAGES)).count() > 1) {
-        Some(images) => format!("these are images without cameras; COLMAP finds them: {}", colmap(path, images)),
+        Some(images) => format!("these are images without cameras; COLMAP finds them: {}", from_images(path, images)),
         None => "give the folder that holds the cameras, or name its layout with --set data.layout=NAME".into(),
     }
 }
 
-/// Commands from a video to a COLMAP folder.
+/// The command that makes a data set of a video.
 fn from_videos(folder: &Path, video: &Path) -> String {
-    let images = folder.join("images");
-    let frames = format!("mkdir -p {0} && ffmpeg -i {1} -vf fps=5 -q:v 2 {0}/%05d.jpg", quoted(&images), quoted(video));
-    format!("make frames of the video, then let COLMAP find the cameras: {frames} && {}", colmap(folder, &images))
+    let data = folder.join("data");
+    format!(
+        "make a data set of it, all videos of one scene together: gs4d import -o {} {}",
+        quoted(&data),
+        quoted(video)
+    )
 }
 
-fn colmap(folder: &Path, images: &Path) -> String {
-    format!("colmap automatic_reconstructor --workspace_path {} --image_path {}", quoted(folder), quoted(images))
+/// The command that makes a data set of images.
+fn from_images(folder: &Path, images: &Path) -> String {
+    format!("gs4d import -o {} --images {}", quoted(&folder.join("data")), quoted(images))
 }
 
 fn shown(folder: &Path) -> String {
@@ -144,12 +148,12 @@ mod tests {
             write(dir.path().join(name), "x").unwrap();
         }
         let images = instead_of(dir.path());
-        assert!(images.contains("colmap automatic_reconstructor") && !images.contains("ffmpeg"), "{images}");
+        assert!(images.contains("gs4d import -o ") && images.contains("--images "), "{images}");
         let video = dir.path().join("clip.MP4");
         write(&video, "x").unwrap();
         for given in [dir.path(), &video] {
             let said = instead_of(given);
-            assert!(said.contains("ffmpeg -i") && said.contains("clip.MP4") && said.contains("colmap"), "{said}");
+            assert!(said.contains("gs4d import -o ") && said.ends_with("clip.MP4"), "{said}");
         }
     }
 
