@@ -61,7 +61,16 @@ impl<'a> IntoIterator for &'a Registry {
     }
 }
 
-/// Builds a method for a scene from a resolved configuration.
+/// The section of a configuration that is the trainer's alone.
+const CAMERAS: &str = "cameras";
+
+/// A resolved configuration without what is the trainer's alone: what [`MethodEntry::build`] gets, and a method parses.
+pub fn own_settings(mut config: toml::Table) -> toml::Table {
+    config.remove(CAMERAS);
+    config
+}
+
+/// Builds a method for a scene from a resolved configuration, [`own_settings`].
 pub type Build = fn(&toml::Table, &SceneInfo) -> Result<Model, MethodError>;
 
 /// What everybody else knows of a method.
@@ -91,12 +100,11 @@ impl MethodEntry {
     /// A setting outside its domain, or those of [`Self::build`].
     pub fn model(&self, config: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
         self.check(config)?;
-        let mut own = config.clone();
-        let cameras = match own.remove("cameras") {
-            Some(toml::Value::Table(cameras)) => parse_config(self.name, &cameras)?,
+        let cameras = match config.get(CAMERAS) {
+            Some(toml::Value::Table(cameras)) => parse_config(self.name, cameras)?,
             _ => CameraConfig::default(),
         };
-        Ok((self.build)(&own, scene)?.with_cameras(cameras, Vec::new()))
+        Ok((self.build)(&own_settings(config.clone()), scene)?.with_cameras(cameras, Vec::new()))
     }
 
     /// Fails for the first number of a configuration outside its domain.

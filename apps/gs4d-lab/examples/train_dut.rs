@@ -18,7 +18,7 @@ use gs_synth::avatar::{self, AvatarOptions};
 use gs_train::evaluate::{clamped, evaluate};
 use gs_train::method::{Buffers, Method};
 use gs_train::model::Model;
-use gs_train::registry::overlay;
+use gs_train::registry::{overlay, own_settings};
 use gs_train::scene::{InitConfig, SceneInfo};
 use gs_train::timestamp::Timestamp;
 use gs_train::trainer::{TrainOptions, Trainer};
@@ -57,7 +57,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     );
     let scene = SceneInfo::of(&dataset, &config["init"].clone().try_into::<InitConfig>()?, training.seed)?;
     if oracle.steps > 0 {
-        let mut dut = Dut::new(config.try_into::<Config>()?, &scene)?;
+        let mut dut = Dut::new(own_settings(config).try_into::<Config>()?, &scene)?;
         dut.oracle(&oracle)?.iter().for_each(print_offsets);
         return Ok(());
     }
@@ -81,7 +81,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     if let Some(folder) = look {
         pictures(trainer.model(), &dataset, &folder)?;
     }
-    let mut dut = Dut::new(config.try_into::<Config>()?, &scene)?;
+    let mut dut = Dut::new(own_settings(config).try_into::<Config>()?, &scene)?;
     copy(trainer.model(), &mut dut);
     dut.begin_step(&trainer.schedule().at(trainer.steps()));
     print_offsets(&dut.offset_errors()?);

@@ -16,6 +16,8 @@ use half::f16;
 
 /// Bytes of a splat.
 pub const BYTES: usize = 32;
+/// Steepness from which on a profile has no outer segments, see [`Profile`].
+const NO_FOOT: f64 = 1e29;
 /// Knot and value of the Gaussian.
 const GAUSSIAN: [u8; 2] = [128, 128];
 
@@ -69,7 +71,9 @@ fn signed(v: f32) -> i16 {
 /// Knot and value of a profile, as shares of ½.
 pub(crate) fn knot(profile: Profile<f64>) -> [u8; 2] {
     let p = 0.5 / (1.0 + profile.kappa);
-    [p, profile.foot * p].map(|v| unit(cast::to_f32(2.0 * v)))
+    // A profile that never decays has no outer segments: its inner one ends at g = 0, above 0.
+    let v = if profile.kappa < NO_FOOT { profile.foot * p } else { -0.5 * profile.u };
+    [p, v].map(|v| unit(cast::to_f32(2.0 * v)))
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use gs_train::checkpoint::Checkpoint;
 use gs_train::evaluate::{EvalReport, ViewScores, evaluate};
 use gs_train::method::{Buffers, Method, MethodError};
 use gs_train::model::Model;
-use gs_train::registry::{overlay, parse_config, section};
+use gs_train::registry::{overlay, own_settings, parse_config, section};
 use gs_train::saved::{RunState, save};
 use gs_train::scene::{InitConfig, SceneInfo};
 use gs_train::trainer::{TrainOptions, Trainer};
@@ -113,8 +113,7 @@ impl Trained {
     /// # Errors
     /// If the template of `film` is a different one, or settings are invalid.
     pub fn on(&self, film: &Dataset, changes: &[&str]) -> Result<Dut, LabError> {
-        let mut config = self.config(changes)?;
-        config.remove("cameras");
+        let config = own_settings(self.config(changes)?);
         let init: InitConfig = section(ENTRY.name, &config, "init")?;
         let parsed: Config = parse_config(ENTRY.name, &config)?;
         let schedule = parsed.schedule.trainer.clone();
@@ -141,7 +140,7 @@ impl Trained {
 
     /// [`Self::on`] as a [`Model`].
     fn model(&self, film: &Dataset, changes: &[&str]) -> Result<Model, LabError> {
-        let schedule = parse_config::<Config>(ENTRY.name, &self.config(changes)?)?.schedule.trainer;
+        let schedule = parse_config::<Config>(ENTRY.name, &own_settings(self.config(changes)?))?.schedule.trainer;
         let mut model = Model::new(ENTRY.name, self.on(film, changes)?, schedule)?;
         model.begin_step(self.step);
         Ok(model)

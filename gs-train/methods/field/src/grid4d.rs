@@ -133,12 +133,11 @@ pub(super) fn build_as(name: &'static str, table: &toml::Table, scene: &SceneInf
 mod tests {
     use super::*;
     use crate::METHODS;
-    use gs_train::registry::parse_config;
+    use gs_train::registry::{own_settings, parse_config};
 
     fn config(method: &'static str, ablate: &str) -> Config {
-        let mut table = METHODS.iter().find(|m| m.name == method).unwrap().config("tiny").unwrap();
+        let mut table = own_settings(METHODS.iter().find(|m| m.name == method).unwrap().config("tiny").unwrap());
         table.insert("ablate".into(), ablate.into());
-        table.remove("cameras");
         let mut config: Config = parse_config(method, &table).unwrap();
         config.ablate.clone().apply(GRID4D, &mut config).unwrap();
         config

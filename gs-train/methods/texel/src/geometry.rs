@@ -188,6 +188,7 @@ mod tests {
     use super::super::config::TextureSizes;
     use super::*;
     use gs_synth::avatar::{AvatarOptions, generate};
+    use gs_train::registry::own_settings;
 
     /// Where the template is the truth, nothing but the points may pull at it. Folds of the template do, unless normals are held
     /// against those at rest.
@@ -197,7 +198,7 @@ mod tests {
         let scene = generate(&film).unwrap().avatar.unwrap();
         let pull = |preset: &str, normal_target: NormalTarget| {
             let config = gs_methods::registry().find("dut").unwrap().config(preset).unwrap();
-            let config: Config = config.try_into().unwrap();
+            let config: Config = own_settings(config).try_into().unwrap();
             let textures = TextureSizes { unproject: 64, geo: 64, gau: 64 };
             let config = Config { textures, surface: SurfaceConfig { normal_target, ..config.surface }, ..config };
             let actor = Actor::new(scene.clone(), &config).unwrap();

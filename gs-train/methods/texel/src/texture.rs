@@ -95,6 +95,7 @@ mod tests {
     use glam::Mat3;
     use gs_synth::avatar::{AvatarOptions, generate};
     use gs_texel::skin::skin;
+    use gs_train::registry::own_settings;
 
     /// A turn about the axis slides a cylinder along itself: no point says so.
     #[test]
@@ -103,7 +104,7 @@ mod tests {
             AvatarOptions { template: "builtin:cylinder".into(), size: 128, frames: 2, ..AvatarOptions::default() };
         let scene = generate(&film).unwrap().avatar.unwrap();
         let config = gs_methods::registry().find("dut").unwrap().config("tiny").unwrap();
-        let actor = Actor::new(scene.clone(), &config.try_into::<Config>().unwrap()).unwrap();
+        let actor = Actor::new(scene.clone(), &own_settings(config).try_into::<Config>().unwrap()).unwrap();
         let (frame, mean) = (&scene.frames[0], MeanTextures::rows(&actor.mean.gau));
         let (posed, images) = (actor.pose(frame), actor.images(frame).unwrap());
         let still = skin(&posed.canonical, &posed.transforms);

@@ -18,7 +18,7 @@ use gs_train::checkpoint::Checkpoint;
 use gs_train::evaluate::evaluate;
 use gs_train::method::{Buffers, Method, MethodError, RenderView, ViewCtx};
 use gs_train::model::Model;
-use gs_train::registry::{Registry, overlay};
+use gs_train::registry::{Registry, overlay, own_settings};
 use gs_train::saved;
 use gs_train::scene::{InitConfig, SceneInfo};
 use gs_train::testkit::{self, SHORT_FILM as SHORT, run};
@@ -79,7 +79,7 @@ fn presets_build_and_every_parameter_learns() {
 fn bare(data: &Dataset, config: &toml::Table, step: u32) -> Dut {
     let init: InitConfig = config["init"].clone().try_into().expect("init");
     let scene = SceneInfo::of(data, &init, 3).expect("scene");
-    let config: Config = config.clone().try_into().expect("settings");
+    let config: Config = own_settings(config.clone()).try_into().expect("settings");
     let at = config.schedule.trainer.at(step);
     let mut dut = Dut::new(config, &scene).expect("method");
     dut.begin_step(&at);
@@ -118,7 +118,7 @@ fn geometry_and_warm_up_have_the_gradients_of_their_losses() {
             let mut rng = Rng::new(5, &p.name, 0, 0);
             p.value.iter_mut().for_each(|v| *v += 0.02 * rng.normal());
         });
-        let ctx = config.clone().try_into::<Config>().expect("settings").schedule.trainer.at(step);
+        let ctx = own_settings(config.clone()).try_into::<Config>().expect("settings").schedule.trainer.at(step);
         method.begin_step(&ctx);
         unrendered(&mut method, at, &camera);
         let mut blocks = Vec::new();
