@@ -10,8 +10,8 @@ use gs4d_player::Clip;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// The image that the page draws at rest of its own camera, 480 by 360 pixels, at the present time, and that camera.
-const DRAWN: &str = "(async () => { const c = camera(480, 360); await renderer.settled(c, state.t); return [$('image').toDataURL(), c]; })()";
+/// The image that the page draws at rest of its own camera, 480 by 360 pixels, at the present time, that camera, and the background.
+const DRAWN: &str = "(async () => { const c = camera(480, 360); await renderer.settled(c, state.t); return [$('image').toDataURL(), c, page.background]; })()";
 /// The pace of a camera that orbits while the scene plays, images a second.
 const PACE: &str = "new Promise((done) => { play(true); let n = 0; const go = () => { orbit(0.02, 0); n++ < 90 ? requestAnimationFrame(go) : (play(false), done(rate.get())); }; go(); })";
 
@@ -39,7 +39,9 @@ fn camera(json: &Value) -> Camera {
 fn against_rasteriser(drawn: &Value, clip: &Clip, time: f32, file: &Path) -> f64 {
     std::fs::write(file, base64(drawn[0].as_str().unwrap().split_once(',').unwrap().1)).unwrap();
     let (theirs, camera) = (load_image(file, &Limits::default()).unwrap(), camera(&drawn[1]));
-    let ours = render(&clip.splats(time), &camera, &RasterOptions::default(), &mut Workspace::new()).rgb;
+    let background = std::array::from_fn(|c| drawn[2][c].as_f64().unwrap() as f32);
+    let options = RasterOptions { background, ..RasterOptions::default() };
+    let ours = render(&clip.splats(time), &camera, &options, &mut Workspace::new()).rgb;
     let sum: f64 = (0..360 * 480)
         .flat_map(|k| (0..3).map(move |c| (k, c)))
         .map(|(k, c)| {
