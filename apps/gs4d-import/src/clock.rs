@@ -20,10 +20,10 @@ const FEWEST: usize = 24;
 /// The clocks of cameras.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Clocks {
-    /// What the first camera shows at time `t` a camera shows at `t + offset`, seconds; 0 where that cannot be told.
+    /// What the first camera shows at time `t` a camera shows at `t + offset`, seconds; 0 where that is not known.
     pub offsets: Vec<f64>,
-    /// Whether the offset of a camera was told.
-    pub told: Vec<bool>,
+    /// Whether the offset of a camera is known.
+    pub known: Vec<bool>,
     /// Least correlation of a pair that was used.
     pub weakest: Option<f64>,
     /// Most seconds by which a pair that was not needed disagrees.
@@ -47,7 +47,7 @@ struct Pair {
 ///     (0..240).map(|k| bump(1.5, at(k)) + 2.0 * bump(4.0, at(k)) + bump(5.1, at(k))).collect()
 /// };
 /// let clocks = gs4d_import::clock::offsets(&[curve(0.0), curve(0.75)], 30.0, 3.0);
-/// assert!(clocks.told[1] && (clocks.offsets[1] - 0.75).abs() < 0.01);
+/// assert!(clocks.known[1] && (clocks.offsets[1] - 0.75).abs() < 0.01);
 /// ```
 pub fn offsets(curves: &[Vec<f64>], rate: f64, limit: f64) -> Clocks {
     let n = curves.len();
@@ -75,15 +75,15 @@ pub fn offsets(curves: &[Vec<f64>], rate: f64, limit: f64) -> Clocks {
     let size = |root: usize| group.iter().filter(|g| g.0 == root).count();
     // The largest group, of equal ones that of the first camera.
     let main = (0..n).map(|k| group[k].0).max_by_key(|&root| (size(root), std::cmp::Reverse(root))).unwrap_or(0);
-    let told: Vec<bool> = group.iter().map(|g| g.0 == main && size(main) > 1).collect();
-    let zero = told.iter().position(|t| *t).map_or(0.0, |k| group[k].1);
-    let offsets: Vec<f64> = group.iter().zip(&told).map(|(g, told)| if *told { g.1 - zero } else { 0.0 }).collect();
+    let known: Vec<bool> = group.iter().map(|g| g.0 == main && size(main) > 1).collect();
+    let zero = known.iter().position(|t| *t).map_or(0.0, |k| group[k].1);
+    let offsets: Vec<f64> = group.iter().zip(&known).map(|(g, known)| if *known { g.1 - zero } else { 0.0 }).collect();
     let apart = |p: &Pair| (offsets[p.cameras[1]] - offsets[p.cameras[0]] - p.seconds).abs();
-    let of_main = unused.iter().filter(|p| p.cameras.iter().all(|&c| told[c]));
-    Clocks { disagreement: of_main.map(apart).reduce(f64::max), offsets, told, weakest }
+    let of_main = unused.iter().filter(|p| p.cameras.iter().all(|&c| known[c]));
+    Clocks { disagreement: of_main.map(apart).reduce(f64::max), offsets, known, weakest }
 }
 
-/// The offset of `b` against `a`, seconds, and the correlation there; none where it cannot be told.
+/// The offset of `b` against `a`, seconds, and the correlation there; none where it is not known.
 fn offset(a: &[f64], b: &[f64], rate: f64, limit: f64) -> Option<(f64, f64)> {
     let most = gs_core::cast::to_usize(limit * rate).min(a.len().max(b.len()));
     // `lags[k]` is the correlation where `b` runs `k - most` steps late.
@@ -150,7 +150,7 @@ mod tests {
         let late = [0.0, 0.517, -1.243, 2.0];
         let films: Vec<Vec<f64>> = late.iter().zip(0..).map(|(l, k)| film(*l, k, 300 - 10 * k as usize)).collect();
         let clocks = offsets(&films, RATE, 4.0);
-        assert!(clocks.told.iter().all(|t| *t), "{clocks:?}");
+        assert!(clocks.known.iter().all(|t| *t), "{clocks:?}");
         for (found, true_one) in clocks.offsets.iter().zip(late) {
             assert!((found - true_one).abs() < 0.3 / RATE, "{clocks:?}");
         }
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_told_is_not_told() {
+    fn what_is_not_clear_is_not_known() {
         let noise = |camera: u64| {
             film(0.0, camera, 240)
                 .iter()
@@ -167,15 +167,15 @@ mod tests {
                 .collect::<Vec<_>>()
         };
         let clocks = offsets(&[film(0.0, 0, 240), noise(5)], RATE, 3.0);
-        assert_eq!((clocks.told, clocks.offsets, clocks.weakest), (vec![false, false], vec![0.0, 0.0], None));
+        assert_eq!((clocks.known, clocks.offsets, clocks.weakest), (vec![false, false], vec![0.0, 0.0], None));
         // A pendulum tells the time up to its period.
         let swing = |late: f64| (0..300).map(|i| ((i as f64 / RATE - late) * 9.0).sin().abs()).collect::<Vec<_>>();
-        assert!(!offsets(&[swing(0.0), swing(0.2)], RATE, 3.0).told[1]);
-        assert!(!offsets(&[vec![0.0; 300], vec![0.0; 300]], RATE, 3.0).told[0]);
-        assert!(!offsets(&[film(0.0, 0, 10), film(0.0, 1, 10)], RATE, 3.0).told[0], "too short");
-        // Two that agree and one that sees nothing of it: the first is told nothing.
+        assert!(!offsets(&[swing(0.0), swing(0.2)], RATE, 3.0).known[1]);
+        assert!(!offsets(&[vec![0.0; 300], vec![0.0; 300]], RATE, 3.0).known[0]);
+        assert!(!offsets(&[film(0.0, 0, 10), film(0.0, 1, 10)], RATE, 3.0).known[0], "too short");
+        // Two that agree and one that sees nothing of it: of the first nothing is known.
         let clocks = offsets(&[noise(7), film(0.5, 1, 300), film(0.0, 2, 300)], RATE, 3.0);
-        assert_eq!(clocks.told, [false, true, true]);
+        assert_eq!(clocks.known, [false, true, true]);
         assert!((clocks.offsets[2] + 0.5).abs() < 0.02 && clocks.offsets[..2] == [0.0, 0.0], "{clocks:?}");
     }
 }

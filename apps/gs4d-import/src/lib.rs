@@ -85,7 +85,7 @@ pub struct ImportedCamera {
     pub source: String,
     /// Frames in the data set.
     pub frames: usize,
-    /// Seconds by which its clock was found, or said, to be later than that of the first; none of cameras whose clock could not be told.
+    /// Seconds by which its clock was found, or said, to be later than that of the first; none of cameras whose clock is not known.
     pub offset: Option<f64>,
 }
 
@@ -100,7 +100,7 @@ pub struct Imported {
     pub cameras: Vec<ImportedCamera>,
     /// Frames in all.
     pub frames: usize,
-    /// Frames per second; none of photographs.
+    /// Frames per second; none of unordered images.
     pub fps: Option<f64>,
     /// Points of the reconstruction.
     pub points: usize,
@@ -193,7 +193,7 @@ impl Job<'_> {
             return Ok(());
         }
         let mut left = LeftOut::default();
-        if !self.settings().keep_all && !self.settings().photographs {
+        if !self.settings().keep_all && !self.settings().unordered {
             let mut measures = Vec::new();
             for camera in 0..self.sources.len() {
                 let (files, what) = (self.files(camera)?, format!("sharpness of {}", camera_name(camera)));

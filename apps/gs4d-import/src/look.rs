@@ -160,7 +160,7 @@ const MOVES: f64 = 0.25;
 /// What the cameras of videos do, and the sentence that says why.
 ///
 /// # Errors
-/// [`ImportError::Cameras`] where that cannot be told.
+/// [`ImportError::Cameras`] where that is not known.
 pub(crate) fn decide(looks: &[Look]) -> Result<(Rig, String), ImportError> {
     let shares: Vec<f64> = looks.iter().filter_map(|l| l.still).collect();
     let percent: Vec<String> = looks
@@ -175,7 +175,7 @@ pub(crate) fn decide(looks: &[Look]) -> Result<(Rig, String), ImportError> {
         return Ok((Rig::Moving, why));
     }
     Err(ImportError::Cameras {
-        what: format!("whether the cameras stand still cannot be told ({why})"),
+        what: format!("whether the cameras stand still is not known ({why})"),
         fix: "say it: --rig fixed where every camera stands still, --rig moving where they move".to_owned(),
     })
 }
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_that_moves_is_told_from_one_that_stands() {
+    fn a_camera_that_moves_differs_from_one_that_stands() {
         let standing = watched((0..24).map(|k| image(0, 8 + 2 * k)));
         let moving = watched((0..24).map(|k| image(2 * k, 30)));
         assert!(standing.still.unwrap() > 0.8 && moving.still.unwrap() < 0.2, "{standing:?} {moving:?}");
@@ -209,7 +209,7 @@ mod tests {
         assert_eq!(decide(&[standing.clone(), standing.clone()]).unwrap().0, Rig::Fixed);
         assert_eq!(decide(std::slice::from_ref(&moving)).unwrap().0, Rig::Moving);
         let e = decide(&[standing, moving]).unwrap_err().to_string();
-        assert!(e.contains("cannot be told") && e.contains(" %, "), "{e}");
+        assert!(e.contains("is not known") && e.contains(" %, "), "{e}");
         assert_eq!(watched((0..24).map(|_| vec![7; 60 * 40])).still, None, "nothing to see");
     }
 

@@ -110,7 +110,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn blurred_frames_are_told_from_their_neighbours() {
+    fn blurred_frames_differ_from_their_neighbours() {
         let mut sharp: Vec<f64> = (0..30).map(|k| 100.0 + 10.0 * f64::from(k)).collect();
         (sharp[0], sharp[7], sharp[20]) = (40.0, 60.0, 90.0);
         let found: Vec<usize> = blurred(&sharp).iter().enumerate().filter(|b| *b.1).map(|b| b.0).collect();
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn duplicates_are_told_from_a_scene_at_rest() {
+    fn duplicates_differ_from_a_scene_at_rest() {
         let mut change = vec![0.0, 4.0, 4.2, 0.1, 3.9, 4.0, 0.0, 4.1, 4.0, 4.2];
         assert_eq!(duplicates(&change).iter().filter(|d| **d).count(), 2);
         assert!(duplicates(&change)[3] && duplicates(&change)[6]);

@@ -227,7 +227,7 @@ impl Job<'_> {
     fn key_model(&mut self, keys: &[[usize; 2]]) -> Result<Model, ImportError> {
         let mut most: Option<usize> = None;
         while self.state.solving.attempt < ATTEMPTS {
-            let unordered = self.settings().photographs && keys.len() <= MOST_ALL_PAIRS;
+            let unordered = self.settings().unordered && keys.len() <= MOST_ALL_PAIRS;
             let again = self.state.solving.attempt > 0;
             let all_pairs = keys.len() <= ALL_PAIRS || again || unordered;
             if let Some(model) = self.model(keys, self.features(again, CameraModel::Opencv), all_pairs)? {
@@ -300,7 +300,7 @@ impl Job<'_> {
         let cameras: Vec<&Camera> = placed.frames.iter().map(|f| &f.1.camera).collect();
         let change = upright(&cameras, &placed.points);
         let held_out = self.held_out(rig, &placed)?;
-        let fps = self.state.cut.as_ref().map(|c| c.fps).filter(|_| !self.settings().photographs);
+        let fps = self.state.cut.as_ref().map(|c| c.fps).filter(|_| !self.settings().unordered);
         let files: Vec<Vec<_>> = (0..self.sources.len()).map(|c| self.files(c)).collect::<Result<_, _>>()?;
         let with_masks = self.settings().masks.is_some();
         let frame = |([camera, k], posed): &([usize; 2], Posed)| {
@@ -340,7 +340,7 @@ impl Job<'_> {
 
     fn offset_of(&self, camera: usize) -> Option<f64> {
         let given = self.settings().offsets.as_ref().and_then(|o| o.get(camera).copied());
-        given.or_else(|| self.state.clocks.as_ref().filter(|c| c.told[camera]).map(|c| c.offsets[camera]))
+        given.or_else(|| self.state.clocks.as_ref().filter(|c| c.known[camera]).map(|c| c.offsets[camera]))
     }
 
     /// The camera of a rig whose frames are for tests.

@@ -1,4 +1,4 @@
-//! `import.json`: what was imported, how, and how far it came, so that an interrupted import goes on and a finished one can be told
+//! `import.json`: what was imported, how, and how far it came, so that an interrupted import goes on and a finished one is recognised
 //! from a folder of somebody's own.
 
 use crate::clock::Clocks;
@@ -38,7 +38,7 @@ pub struct Settings {
     /// What the cameras do; none: it is found out.
     pub rig: Option<Rig>,
     /// Images of a scene at rest, in any order: they get no times.
-    pub photographs: bool,
+    pub unordered: bool,
     /// Frames of videos; of images, `fps` alone (30 if it is not given).
     pub taking: Taking,
     /// Factor on the size of frames.
@@ -73,7 +73,7 @@ impl Default for Settings {
     fn default() -> Self {
         Self {
             rig: None,
-            photographs: false,
+            unordered: false,
             taking: Taking { fps: None, max_frames: 300, start: 0.0, duration: None },
             scale: 1.0,
             longest: None,

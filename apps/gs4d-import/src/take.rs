@@ -103,13 +103,13 @@ impl Job<'_> {
             });
         }
         let Some(clocks) = self.state.clocks.clone() else { return Ok(vec![0.0; files.len()]) };
-        for (k, (offset, told)) in clocks.offsets.iter().zip(&clocks.told).enumerate() {
+        for (k, (offset, known)) in clocks.offsets.iter().zip(&clocks.known).enumerate() {
             let name = files[k].display();
-            self.say(match told {
+            self.say(match known {
                 true => format!("clock of {name}: {offset:+.3} s"),
-                false => format!(
-                    "clock of {name}: cannot be told from what moves in it; taken as it is (--offsets gives it)"
-                ),
+                false => {
+                    format!("clock of {name}: cannot be seen in what moves in it; taken as it is (--offsets gives it)")
+                }
             });
         }
         if let Some(apart) = clocks.disagreement.filter(|d| *d > 0.05) {

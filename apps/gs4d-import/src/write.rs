@@ -15,7 +15,7 @@ pub(crate) struct Frame {
     /// Path of the image from the data set.
     pub(crate) file: String,
     pub(crate) mask: Option<String>,
-    /// Seconds; none of photographs.
+    /// Seconds; none of unordered images.
     pub(crate) time: Option<f64>,
     /// Number of its camera, in a rig.
     pub(crate) camera: Option<usize>,

@@ -120,7 +120,7 @@ fn six_cameras_at_rest() {
     let done = imported(videos, &data, &Settings { moments: Some(2), ..Settings::default() });
     assert_eq!((done.rig, done.held_out.is_some()), (Rig::Fixed, true));
     // The film of the last camera begins 4.4 frames later, so it shows earlier what the first one shows.
-    let offset = done.cameras[5].offset.expect("a clock that can be told");
+    let offset = done.cameras[5].offset.expect("a clock that is known");
     assert!((offset + 4.4 / f64::from(FPS)).abs() < 0.5 / f64::from(FPS), "{offset}");
     let worst = rig_errors(&data, &cameras);
     assert!(worst.angle < 0.5 && worst.distance < 0.01);

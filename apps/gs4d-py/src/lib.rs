@@ -7,7 +7,7 @@
 #![warn(clippy::cast_possible_truncation)]
 
 #[cfg(feature = "python")]
-mod drawing;
+mod batch;
 #[cfg(feature = "python")]
 mod input;
 #[cfg(feature = "python")]

@@ -1,6 +1,6 @@
 //! The functions of the native module that draw: numpy arrays in, numpy arrays out.
 
-use crate::drawing::{Drawing, Pulls};
+use crate::batch::{Batch, Pulls};
 use crate::input::{Settings, array, finite};
 use crate::precision::{Images, Precision};
 use gs_raster::Screen;
@@ -13,13 +13,13 @@ use std::sync::{Mutex, PoisonError};
 /// Images that were drawn, kept for their gradients. It owns a copy of everything it was drawn from.
 #[pyclass(frozen)]
 pub(crate) struct Rendering {
-    drawing: Held,
+    batch: Held,
     rows: usize,
 }
 
 enum Held {
-    F32(Mutex<Drawing<f32>>),
-    F64(Mutex<Drawing<f64>>),
+    F32(Mutex<Batch<f32>>),
+    F64(Mutex<Batch<f64>>),
 }
 
 /// Draws every camera's images: `colors`, `alphas`, `depths`; of the splats `means2d`, `splat_depths` and `radii`; and, if it
@@ -33,9 +33,9 @@ pub(crate) fn draw<'py>(
 ) -> PyResult<Bound<'py, PyDict>> {
     let means = arrays.get_item("means")?.ok_or_else(|| PyTypeError::new_err("means is missing"))?;
     if means.cast::<PyArrayDyn<f64>>().is_ok() {
-        draw_as::<f64>(py, arrays, &settings, keep, |drawing| Held::F64(Mutex::new(drawing)))
+        draw_as::<f64>(py, arrays, &settings, keep, |batch| Held::F64(Mutex::new(batch)))
     } else {
-        draw_as::<f32>(py, arrays, &settings, keep, |drawing| Held::F32(Mutex::new(drawing)))
+        draw_as::<f32>(py, arrays, &settings, keep, |batch| Held::F32(Mutex::new(batch)))
     }
 }
 
@@ -44,10 +44,10 @@ fn draw_as<'py, T: Precision>(
     arrays: &Bound<'py, PyDict>,
     settings: &Settings,
     keep: bool,
-    hold: impl FnOnce(Drawing<T>) -> Held,
+    hold: impl FnOnce(Batch<T>) -> Held,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let (mut drawing, rows, cameras) = Drawing::<T>::new(arrays, settings)?;
-    let (images, screens) = py.detach(|| drawing.draw());
+    let (mut batch, rows, cameras) = Batch::<T>::new(arrays, settings)?;
+    let (images, screens) = py.detach(|| batch.draw());
     let out = PyDict::new(py);
     let (height, width, channels) = (settings.height as usize, settings.width as usize, settings.channels);
     if channels > 0 {
@@ -60,7 +60,7 @@ fn draw_as<'py, T: Precision>(
     out.set_item("splat_depths", shaped(py, of(|s| &s.depths), &[cameras, rows])?)?;
     out.set_item("radii", shaped(py, of(|s| &s.radii), &[cameras, rows])?)?;
     if keep {
-        out.set_item("rendering", Rendering { drawing: hold(drawing), rows })?;
+        out.set_item("rendering", Rendering { batch: hold(batch), rows })?;
     }
     Ok(out)
 }
@@ -70,23 +70,23 @@ impl Rendering {
     /// Gradients of the loss whose cotangents are the arrays `colors`, `alphas` and `depths`, each of which may be missing:
     /// `means`, `quats`, `scales`, `opacities`, `colors` (flat), `viewmats`, `Ks`, `means2d`.
     fn pull_back<'py>(&self, py: Python<'py>, d: &Bound<'py, PyDict>) -> PyResult<Bound<'py, PyDict>> {
-        match &self.drawing {
-            Held::F32(drawing) => pull_back(py, drawing, self.rows, d),
-            Held::F64(drawing) => pull_back(py, drawing, self.rows, d),
+        match &self.batch {
+            Held::F32(batch) => pull_back(py, batch, self.rows, d),
+            Held::F64(batch) => pull_back(py, batch, self.rows, d),
         }
     }
 }
 
 fn pull_back<'py, T: Precision>(
     py: Python<'py>,
-    drawing: &Mutex<Drawing<T>>,
+    batch: &Mutex<Batch<T>>,
     rows: usize,
     d: &Bound<'py, PyDict>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let d =
         Images { colors: cotangent(d, "colors")?, alphas: cotangent(d, "alphas")?, depths: cotangent(d, "depths")? };
     // The lock is waited for without the interpreter, so that its owner can go on.
-    let pulls = py.detach(|| drawing.lock().unwrap_or_else(PoisonError::into_inner).pull_back(&d));
+    let pulls = py.detach(|| batch.lock().unwrap_or_else(PoisonError::into_inner).pull_back(&d));
     let Pulls { splats, colors, means2d, cameras } = pulls.map_err(PyValueError::new_err)?;
     let out = PyDict::new(py);
     if let Some(splats) = splats.map(|pulled| pulled.splats) {

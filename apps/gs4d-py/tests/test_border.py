@@ -126,7 +126,7 @@ def test_any_number_of_threads_gives_the_same_bits():
 
 
 def test_the_interpreter_goes_on_while_splats_are_drawn():
-    """Drawing on one thread of the pool leaves the interpreter to others: they count meanwhile."""
+    """Rendering on one thread of the pool leaves the interpreter to others: they count meanwhile."""
     arguments, counts, done = big(150_000, 512, 3), [0], threading.Event()
 
     def count():

@@ -30,7 +30,7 @@ function pan(dx, dy) {
 function dolly(factor) { state.eye = add(state.target, add(state.eye, state.target, -1), factor); show(); }
 function reset() { Object.assign(state, structuredClone(page.start)); show(); }
 
-// Drawing, once in a picture of the page; coarser where that takes long.
+// Rendering, at most once per frame of the page; coarser where that takes long.
 function show() { if (!due) { due = true; requestAnimationFrame(paint); } }
 function paint(now) {
   due = false;

@@ -30,7 +30,7 @@ pub struct ImportVerb {
     rig: RigChoice,
     /// The images are of a scene at rest, in any order: they get no times.
     #[arg(long, requires = "images")]
-    photographs: bool,
+    unordered: bool,
     /// Frames per second [default: those of the slowest video; of images 30].
     #[arg(long, value_parser = positive)]
     fps: Option<f64>,
@@ -49,7 +49,7 @@ pub struct ImportVerb {
     /// Longest side of the frames, pixels.
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(16..=32_768), conflicts_with = "images")]
     size: Option<u32>,
-    /// Seconds by which each video shows later what the first one shows, in their order: 0,0.25,-0.1 [default: found where it can be told].
+    /// Seconds by which each video shows later what the first one shows, in their order: 0,0.25,-0.1 [default: found where it is clear].
     #[arg(long, value_name = "S,S", value_delimiter = ',', allow_hyphen_values = true, conflicts_with_all = ["images", "no_sync"])]
     offsets: Option<Vec<f64>>,
     /// The videos began at one moment: look for no offsets of clocks.
@@ -121,7 +121,7 @@ impl ImportVerb {
             None => Source::Videos(self.videos.clone()),
         };
         let threads = global.threads.map(usize::from);
-        // What is done, its line, how much was done when it was told last.
+        // What is done, its line, how much was done when it was printed last.
         let mut line: Option<(String, Progress, usize)> = None;
         let mut tell = |event: Event<'_>| match event {
             Event::Say(text) => {
@@ -133,8 +133,8 @@ impl ImportVerb {
                     line.take().into_iter().for_each(|l| l.1.finish());
                     line = Some((what.to_owned(), Progress::new(of.unwrap_or(0) as u64, what, global.quiet), 0));
                 }
-                if let Some((_, progress, told)) = line.as_mut().filter(|l| l.2 != done) {
-                    *told = done;
+                if let Some((_, progress, printed)) = line.as_mut().filter(|l| l.2 != done) {
+                    *printed = done;
                     progress.at(done as u64, || what.to_owned());
                 }
             }
@@ -143,7 +143,7 @@ impl ImportVerb {
         line.into_iter().for_each(|l| l.1.finish());
         let done = done.map_err(|e| Failure::import(e, &self.out))?;
         global.say(format!("{} frames of {} cameras; now the doctor", done.frames, done.cameras.len()));
-        // Problems are told at the end: points are made all the same.
+        // Problems are printed at the end: points are made all the same.
         let page = self.out.join("doctor.html");
         let checked = Doctor::of(self.out.clone(), page).look(global)?;
         let points = Init::of(self.out.clone()).run(global)?;
@@ -167,7 +167,7 @@ impl ImportVerb {
                 RigChoice::Fixed => Some(Rig::Fixed),
                 RigChoice::Moving => Some(Rig::Moving),
             },
-            photographs: self.photographs,
+            unordered: self.unordered,
             taking: Taking { fps: self.fps, max_frames: self.max_frames, start: self.start, duration: self.duration },
             scale: self.scale,
             longest: self.size,
@@ -218,7 +218,7 @@ impl Failure {
                 .remedy(format!("{install}; then the same command again: it goes on where it stopped")),
             E::Failed { log, .. } => Failure::new(Class::Io, "import.program", text)
                 .place(log.display())
-                .remedy("mend what it says; then the same command again: it goes on where it stopped"),
+                .remedy("fix what it says; then the same command again: it goes on where it stopped"),
             E::Stopped { .. } => Failure::new(Class::Interrupted, "interrupted", text)
                 .remedy("the same command again goes on where it stopped"),
             E::Input { path, why, fix, .. } => {

@@ -12,7 +12,7 @@ use rayon::ThreadPool;
 use std::sync::Arc;
 
 /// Splats, cameras, and what their frames left.
-pub(crate) struct Drawing<T: Precision> {
+pub(crate) struct Batch<T: Precision> {
     splats: T::Splats,
     /// One for all cameras, or one for each.
     colors: Vec<T::Colors>,
@@ -35,13 +35,13 @@ pub(crate) struct Pulls<T> {
     pub cameras: Vec<CameraGrad>,
 }
 
-impl<T: Precision> Drawing<T> {
+impl<T: Precision> Batch<T> {
     /// Takes and checks what is to be drawn; also returns the number of splats and of cameras.
     pub(crate) fn new(arrays: &Bound<'_, PyDict>, settings: &Settings) -> PyResult<(Self, usize, usize)> {
         let geometry = input::geometry::<T>(arrays)?;
         let cameras = input::cameras::<T>(arrays, settings.width, settings.height)?;
         let (rows, count) = (geometry.means.len(), cameras.len());
-        let drawing = Self {
+        let batch = Self {
             colors: colors::<T>(arrays, settings, rows, count)?,
             splats: T::splats(geometry),
             channels: settings.channels,
@@ -49,7 +49,7 @@ impl<T: Precision> Drawing<T> {
             cameras: cameras.into_iter().map(|camera| (camera, T::Memory::default())).collect(),
             pool: pool(settings.threads)?,
         };
-        Ok((drawing, rows, count))
+        Ok((batch, rows, count))
     }
 
     /// The images of all cameras, one after the other, and where the splats lie in each.
@@ -68,7 +68,7 @@ impl<T: Precision> Drawing<T> {
         (all, screens)
     }
 
-    /// Gradients of the loss whose cotangents are `d`, which has the layout of [`Drawing::draw`]; after that.
+    /// Gradients of the loss whose cotangents are `d`, which has the layout of [`Batch::draw`]; after that.
     pub(crate) fn pull_back(&mut self, d: &Images<T>) -> Result<Pulls<T>, String> {
         let pixels = self.cameras.first().map_or(0, |(c, _)| c.width as usize * c.height as usize);
         let (count, channels) = (self.cameras.len(), self.channels);
