@@ -376,17 +376,21 @@ impl Loss {
         Some(self.before? - self.after?)
     }
 
-    pub(super) fn to_text(&self) -> String {
+    fn to_text(&self) -> String {
+        self.line(&match self.read {
+            n if n == self.views => "from the files, the nearest in time".to_owned(),
+            n => format!("{n} from the files, {} baked at times that no file has", self.views - n),
+        })
+    }
+
+    /// The line for people, with where the renders came from.
+    pub(super) fn line(&self, from: &str) -> String {
         let (Some(before), Some(after), Some(lost)) = (self.before, self.after, self.mean()) else {
             return "psnr: every view is perfect\n".to_owned();
         };
         let worst = self.worst.map_or(String::new(), |(db, t)| format!(", worst {db:.3} dB at t = {t:.3}"));
-        let how = match self.read {
-            n if n == self.views => "from the files, the nearest in time".to_owned(),
-            n => format!("{n} from the files, {} baked at times that no file has", self.views - n),
-        };
         format!(
-            "psnr over {} {} views ({how}): {before:.3} dB as trained, {after:.3} dB as written (mean loss {lost:.3} dB{worst})\n",
+            "psnr over {} {} views ({from}): {before:.3} dB as trained, {after:.3} dB as written (mean loss {lost:.3} dB{worst})\n",
             self.views, self.split
         )
     }

@@ -75,7 +75,7 @@ impl Player {
              {tolerance} of its standard deviation in the image of the nearest camera\n",
             bytes as f64 / 1e6
         );
-        text.push_str(&loss.map_or(String::new(), Loss::to_text));
+        text.push_str(&loss.map_or(String::new(), |l| l.line("from the page, read back")));
         text.push_str(&format!("-> {}: open it in any browser\n", self.out.display()));
         let file = self.out.display().to_string();
         Answer::new(
