@@ -54,6 +54,9 @@
 //! [`render_channels`] and [`render_channels_backward`] take colours of any number of channels, in groups of three over one
 //! projection, order and lists.
 //!
+//! # Other devices
+//! [`Rasterizer`] is the same work on any device; [`Workspace`] is the one on the CPU.
+//!
 //! # What it leaves out
 //! Distortion, rolling shutter, depth sorting per pixel, second-order gradients.
 
@@ -74,6 +77,7 @@ mod kernel;
 pub mod measure;
 mod options;
 mod project;
+mod rasterizer;
 pub mod reference;
 mod rows;
 pub mod simd;
@@ -88,6 +92,7 @@ pub use count::blend_counts;
 pub use forward::render_into;
 pub use frame::{Frame, FrameGrad, Screen, ScreenStats};
 pub use options::{ClampGrad, OptionError, RasterOptions, SimdLevel};
+pub use rasterizer::{DeviceError, Rasterizer};
 pub use workspace::Workspace;
 
 use gs_core::{Camera, SplatsGrad, SplatsRef};

@@ -5,10 +5,7 @@
 
 use crate::options::{RasterOptions, SimdLevel};
 use crate::reference::{self, Cutoff, Scene};
-use crate::{
-    Frame, FrameGrad, ScreenStats, Workspace, render, render_backward_into, render_backward_with_camera, render_into,
-    simd,
-};
+use crate::{DeviceError, Frame, FrameGrad, Rasterizer, ScreenStats, Workspace, simd};
 use fearless_simd::{dispatch, f32x16, prelude::*};
 use glam::{DMat3, DVec3, Vec3};
 use gs_core::speed::{BenchRow, median_seconds};
@@ -142,26 +139,69 @@ pub fn rows(
     runs: usize,
     error_side: u32,
 ) -> [BenchRow; 3] {
-    let (mut workspace, mut frame) = (Workspace::new(), Frame::default());
-    let n = (camera.width * camera.height) as usize;
+    let on = Device { krate: "gs-raster", name: simd::level_name(simd::level(options.simd)) };
+    let rows = device_rows(&mut Workspace::new(), &on, case, splats, camera, options, runs, error_side);
+    rows.unwrap_or_else(|e| unreachable!("the CPU does not fail: {e}"))
+}
+
+/// What a row is measured on.
+#[derive(Clone, Debug)]
+pub struct Device {
+    /// Crate of the rasteriser.
+    pub krate: &'static str,
+    /// Name in the row's variant.
+    pub name: String,
+}
+
+/// [`rows`] of any rasteriser. Times include what is copied to and from its device.
+///
+/// # Errors
+/// If the device fails.
+#[expect(clippy::too_many_arguments, reason = "those of `rows`, and the rasteriser")]
+pub fn device_rows(
+    rasterizer: &mut dyn Rasterizer,
+    on: &Device,
+    case: &str,
+    splats: &Splats,
+    camera: &Camera,
+    options: &RasterOptions,
+    runs: usize,
+    error_side: u32,
+) -> Result<[BenchRow; 3], DeviceError> {
+    let small = camera.scaled(f64::from(error_side) / f64::from(camera.width));
+    let Errors { frame: frame_error, means, camera: camera_error, blended_samples } =
+        errors(rasterizer, splats, &small, options)?;
+    let (mut frame, n) = (Frame::default(), (camera.width * camera.height) as usize);
     let d = FrameGrad { rgb: cotangents(3 * n), ..FrameGrad::default() };
     let (mut grad, mut stats) = (SplatsGrad::default(), ScreenStats::default());
-    let forward = median_seconds(runs, || render_into(splats, camera, options, &mut workspace, &mut frame));
-    let both = median_seconds(runs, || {
-        render_into(splats, camera, options, &mut workspace, &mut frame);
-        render_backward_into(splats, camera, options, &mut workspace, &d, &mut grad, &mut stats);
-    });
-    let with_camera = median_seconds(runs, || {
-        render_into(splats, camera, options, &mut workspace, &mut frame);
-        render_backward_with_camera(splats, camera, options, &mut workspace, &d, &mut grad, &mut stats);
-    });
-    let small = camera.scaled(f64::from(error_side) / f64::from(camera.width));
-    let Errors { frame: frame_error, means, camera: camera_error, blended_samples } = errors(splats, &small, options);
+    let view = splats.view();
+    let mut result = Ok(());
+    let mut time = |backward: Backward| {
+        median_seconds(runs, || {
+            let mut run = || {
+                rasterizer.render_into(view, camera, options, &mut frame)?;
+                match backward {
+                    Backward::None => Ok(()),
+                    Backward::Splats => {
+                        rasterizer.render_backward_into(view, camera, options, &d, &mut grad, &mut stats)
+                    }
+                    Backward::Camera => rasterizer
+                        .render_backward_with_camera(view, camera, options, &d, &mut grad, &mut stats)
+                        .map(drop),
+                }
+            };
+            if let Err(e) = run() {
+                result = Err(e);
+            }
+        })
+    };
+    let [forward, both, with_camera] = [Backward::None, Backward::Splats, Backward::Camera].map(&mut time);
+    result?;
     let scale = n as f64 / f64::from(small.width * small.height);
     let row = |variant: &str, seconds: f64, error, error_kind| BenchRow {
-        krate: "gs-raster",
+        krate: on.krate,
         case: format!("{case}@{}", camera.width),
-        variant: format!("{variant} {}", simd::level_name(simd::level(options.simd))),
+        variant: format!("{variant} {}", on.name),
         n: splats.len(),
         threads: rayon::current_num_threads(),
         ms: 1e3 * seconds,
@@ -169,11 +209,19 @@ pub fn rows(
         error: Some(error),
         error_kind,
     };
-    [
+    Ok([
         row("forward", forward, frame_error, "frame max abs off the cutoff band"),
         row("forward+backward", both, means, "means gradient relative L2"),
         row("forward+backward+camera", with_camera, camera_error, "camera twist relative L2"),
-    ]
+    ])
+}
+
+/// How far a timed frame is pulled back.
+#[derive(Clone, Copy)]
+enum Backward {
+    None,
+    Splats,
+    Camera,
 }
 
 fn cotangents(n: usize) -> Vec<f32> {
@@ -193,11 +241,16 @@ struct Errors {
     blended_samples: f64,
 }
 
-fn errors(splats: &Splats, camera: &Camera, options: &RasterOptions) -> Errors {
+fn errors(
+    rasterizer: &mut dyn Rasterizer,
+    splats: &Splats,
+    camera: &Camera,
+    options: &RasterOptions,
+) -> Result<Errors, DeviceError> {
     let exact = Scene::<f64>::new(splats);
     let want = reference::render(&exact, camera, options, Cutoff::Hard);
-    let mut workspace = Workspace::new();
-    let frame = render(splats, camera, options, &mut workspace);
+    let mut frame = Frame::default();
+    rasterizer.render_into(splats.view(), camera, options, &mut frame)?;
     let n = want.alpha.len();
     let mut rgb = cotangents(3 * n);
     let mut worst = 0.0f64;
@@ -214,14 +267,15 @@ fn errors(splats: &Splats, camera: &Camera, options: &RasterOptions) -> Errors {
     let (want_grad, _, want_camera) = reference::render_backward(&exact, camera, options, Cutoff::Hard, &d);
     let (mut grad, mut stats) = (SplatsGrad::default(), ScreenStats::default());
     let d = FrameGrad { rgb, ..FrameGrad::default() };
-    let got_camera = render_backward_with_camera(splats, camera, options, &mut workspace, &d, &mut grad, &mut stats);
+    let got_camera =
+        rasterizer.render_backward_with_camera(splats.view(), camera, options, &d, &mut grad, &mut stats)?;
     let got_means: Vec<f64> = grad.means.iter().flat_map(|m| m.to_array().map(f64::from)).collect();
-    Errors {
+    Ok(Errors {
         frame: worst,
         means: relative_l2(&got_means, want_grad.means.as_flattened()),
         camera: relative_l2(&got_camera.twist(camera), &want_camera.twist(camera)),
         blended_samples: want.blended_samples as f64,
-    }
+    })
 }
 
 fn relative_l2(got: &[f64], want: &[f64]) -> f64 {

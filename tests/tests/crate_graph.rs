@@ -7,6 +7,7 @@ use std::path::Path;
 const GRAPH: &[(&str, &str, &[&str])] = &[
     ("gs-core", "gs-core", &[]),
     ("gs-raster", "gs-raster", &["gs-core"]),
+    ("gs-gpu", "gs-raster/gpu", &["gs-core", "gs-raster"]),
     ("gs-metrics", "gs-metrics", &["gs-core"]),
     ("gs-deform", "gs-deform", &["gs-core"]),
     ("gs-anchor", "gs-anchor", &["gs-core", "gs-deform"]),

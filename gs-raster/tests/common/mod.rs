@@ -1,6 +1,9 @@
 //! Hard scenes for the rasteriser's tests, generated from a seed.
 #![allow(dead_code, reason = "each test binary uses its own part")]
 
+pub mod golden;
+pub mod table;
+
 use glam::{DVec3, Vec3};
 use gs_core::kernel::effective_beta;
 use gs_core::{BetaMode, Camera, Color, Kernel, Rng, Splats};

@@ -1,0 +1,142 @@
+//! Arrays on the device: grown when needed, bound with the length in use, read back through one staging buffer.
+
+use crate::device::Gpu;
+use crate::error::GpuError;
+use std::sync::mpsc;
+
+/// An array on the device.
+pub(crate) struct Array {
+    what: &'static str,
+    buffer: wgpu::Buffer,
+    /// Bytes in use; the buffer may be larger.
+    bytes: u64,
+}
+
+/// Smallest size of a buffer, bytes: bindings cannot be empty.
+const LEAST: u64 = 16;
+
+impl Array {
+    /// An array that holds nothing yet; `what` names it in errors.
+    pub(crate) fn new(gpu: &Gpu, what: &'static str) -> Self {
+        Self { what, buffer: storage(gpu, what, LEAST), bytes: LEAST }
+    }
+
+    /// Gives the array a length of `bytes`; what it held is lost where it has to grow.
+    pub(crate) fn resize(&mut self, gpu: &Gpu, bytes: u64) -> Result<(), GpuError> {
+        let bytes = if bytes == 0 { LEAST } else { bytes.next_multiple_of(4) };
+        if self.buffer.size() >= bytes {
+            self.bytes = bytes;
+            return Ok(());
+        }
+        let limits = gpu.device().limits();
+        let allowed = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+        if bytes > allowed {
+            let (need, allowed) = (bytes.div_ceil(1 << 20), allowed >> 20);
+            return Err(GpuError::TooLarge { what: self.what, need, allowed, adapter: gpu.name().to_owned() });
+        }
+        // A quarter more, so that a scene that grows does not allocate at every step.
+        let size = (bytes + bytes / 4).next_multiple_of(LEAST).min(allowed);
+        self.buffer = storage(gpu, self.what, size);
+        self.bytes = bytes;
+        gpu.check()
+    }
+
+    /// Writes values from the start on.
+    pub(crate) fn upload<T: bytemuck::NoUninit>(&mut self, gpu: &Gpu, values: &[T]) -> Result<(), GpuError> {
+        let bytes: &[u8] = bytemuck::cast_slice(values);
+        self.resize(gpu, bytes.len() as u64)?;
+        if !bytes.is_empty() {
+            gpu.queue().write_buffer(&self.buffer, 0, bytes);
+        }
+        Ok(())
+    }
+
+    /// The buffer behind it.
+    pub(crate) fn buffer(&self) -> &wgpu::Buffer {
+        &self.buffer
+    }
+
+    /// Bytes in use.
+    pub(crate) fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// The part in use, for a bind group.
+    pub(crate) fn binding(&self) -> wgpu::BindingResource<'_> {
+        self.part(0, self.bytes)
+    }
+
+    /// A part, for a bind group; offsets are multiples of 256.
+    pub(crate) fn part(&self, offset: u64, bytes: u64) -> wgpu::BindingResource<'_> {
+        let size = std::num::NonZeroU64::new(bytes);
+        wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: &self.buffer, offset, size })
+    }
+}
+
+fn storage(gpu: &Gpu, what: &'static str, size: u64) -> wgpu::Buffer {
+    let usage = wgpu::BufferUsages::STORAGE
+        | wgpu::BufferUsages::UNIFORM
+        | wgpu::BufferUsages::COPY_SRC
+        | wgpu::BufferUsages::COPY_DST;
+    let desc = wgpu::BufferDescriptor { label: Some(what), size, usage, mapped_at_creation: false };
+    gpu.device().create_buffer(&desc)
+}
+
+/// Copies arrays to the host, one after another, through one buffer.
+pub(crate) struct Readback {
+    buffer: Option<wgpu::Buffer>,
+}
+
+impl Readback {
+    pub(crate) const fn new() -> Self {
+        Self { buffer: None }
+    }
+
+    /// Appends the copies of `arrays` to `encoder`, submits it, waits, and hands the bytes of each array to `take`.
+    pub(crate) fn submit(
+        &mut self,
+        gpu: &Gpu,
+        mut encoder: wgpu::CommandEncoder,
+        arrays: &[&Array],
+        mut take: impl FnMut(usize, &[u8]),
+    ) -> Result<(), GpuError> {
+        let total: u64 = arrays.iter().map(|a| a.bytes()).sum();
+        let staging = self.staging(gpu, total)?;
+        let mut at = 0;
+        for array in arrays {
+            encoder.copy_buffer_to_buffer(array.buffer(), 0, staging, at, array.bytes());
+            at += array.bytes();
+        }
+        gpu.queue().submit([encoder.finish()]);
+        let (send, receive) = mpsc::channel();
+        staging.map_async(wgpu::MapMode::Read, 0..total, move |result| {
+            // The receiver waits below; it is gone only if that failed.
+            send.send(result).ok();
+        });
+        gpu.wait()?;
+        let rejected = |why: String| GpuError::Rejected { adapter: gpu.name().to_owned(), why };
+        receive.recv().map_err(|e| rejected(e.to_string()))?.map_err(|e| rejected(e.to_string()))?;
+        let view = staging.get_mapped_range(0..total).map_err(|e| rejected(e.to_string()))?;
+        let mut rest: &[u8] = &view;
+        for (i, array) in arrays.iter().enumerate() {
+            let (own, tail) = rest.split_at(usize::try_from(array.bytes()).unwrap_or(usize::MAX));
+            take(i, own);
+            rest = tail;
+        }
+        drop(view);
+        staging.unmap();
+        Ok(())
+    }
+
+    fn staging(&mut self, gpu: &Gpu, bytes: u64) -> Result<&wgpu::Buffer, GpuError> {
+        if self.buffer.as_ref().is_none_or(|b| b.size() < bytes) {
+            self.buffer = None;
+            let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
+            let size = bytes + bytes / 4 / 4 * 4;
+            let desc = wgpu::BufferDescriptor { label: Some("readback"), size, usage, mapped_at_creation: false };
+            self.buffer = Some(gpu.device().create_buffer(&desc));
+            gpu.check()?;
+        }
+        self.buffer.as_ref().ok_or(GpuError::NoFrame)
+    }
+}
