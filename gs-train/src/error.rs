@@ -72,6 +72,9 @@ pub enum MethodError {
     /// A timestamp cannot be made into splats: an input image that cannot be read, say.
     #[error("{0}")]
     Render(String),
+    /// The device that renders failed.
+    #[error(transparent)]
+    Device(#[from] gs_raster::DeviceError),
     /// The image loss of a training view is not finite or not defined.
     #[error(transparent)]
     Loss(Box<gs_metrics::MetricError>),

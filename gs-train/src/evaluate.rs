@@ -13,6 +13,7 @@ mod placed;
 pub use placed::{RefinedCameras, place};
 
 use crate::cameras::Correction;
+use crate::device::Device;
 use crate::method::MethodError;
 use crate::model::Model;
 use crate::ranks::{Share, ShareError};
@@ -23,7 +24,7 @@ use gs_metrics::{
     Mean, MetricError, Scorer, Scores, Sharpness, SsimOptions, Summary, masked_mse, masked_perceptual_proxy,
     masked_ssim, person_scores, psnr_from_mse,
 };
-use gs_raster::{Frame, Workspace, render_into};
+use gs_raster::{DeviceError, Frame};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -202,6 +203,9 @@ pub enum EvalError {
         /// Why the method gave no splats.
         source: Box<MethodError>,
     },
+    /// The device that renders failed.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
     /// Another rank that scores views failed.
     #[error(transparent)]
     Rank(#[from] ShareError),
@@ -236,51 +240,62 @@ pub fn evaluate(
     background: [f32; 3],
     images: &ImageCache,
 ) -> Result<EvalReport, EvalError> {
-    evaluate_shared(model, dataset, split, background, images, &Share::default())
+    let (share, device) = Default::default();
+    evaluate_with(model, dataset, split, &Scoring { background, images, share: &share, device: &device })
 }
 
-/// The same with every view scored by one of the ranks that share the work; the report is the same on all.
+/// How views are rendered and scored, and who does it.
+#[derive(Clone, Copy)]
+pub struct Scoring<'a> {
+    /// Colour behind the scene, in rendering and image alike.
+    pub background: [f32; 3],
+    /// The images of the data.
+    pub images: &'a ImageCache,
+    /// The ranks that share the work: each view is scored by one of them, and the report is the same on all.
+    pub share: &'a Share,
+    /// What renders.
+    pub device: &'a Device,
+}
+
+/// The same by these ranks on this device.
 ///
 /// # Errors
-/// As [`evaluate`], and if another rank fails.
-pub fn evaluate_shared(
+/// As [`evaluate`], and if another rank or the device fails.
+pub fn evaluate_with(
     model: &Model,
     dataset: &Dataset,
     split: Split,
-    background: [f32; 3],
-    images: &ImageCache,
-    share: &Share,
+    scoring: &Scoring<'_>,
 ) -> Result<EvalReport, EvalError> {
-    evaluate_splats(model, &|at, camera| model.splats(at, camera), dataset, split, background, images, share)
+    evaluate_splats(model, &|at, camera| model.splats(at, camera), dataset, split, scoring)
 }
 
 /// The same of splats that stand in for those of a model (files read back, say).
 ///
 /// # Errors
-/// As [`evaluate_shared`].
+/// As [`evaluate_with`].
 pub fn evaluate_splats(
     model: &Model,
     splats: &dyn Fn(&Timestamp, &Camera) -> Result<Splats, MethodError>,
     dataset: &Dataset,
     split: Split,
-    background: [f32; 3],
-    images: &ImageCache,
-    share: &Share,
+    scoring: &Scoring<'_>,
 ) -> Result<EvalReport, EvalError> {
+    let Scoring { background, images, share, device } = *scoring;
     let views = dataset.views(split);
     if views.is_empty() {
         return Err(EvalError::NoViews(split_name(split)));
     }
     let options = model.raster_options(background);
-    let (mut workspace, mut frame, mut scorer) =
-        (Workspace::new(), Frame::default(), Scorer::new(SsimOptions::default()));
+    let (mut rasterizer, mut frame, mut scorer) =
+        (device.open()?, Frame::default(), Scorer::new(SsimOptions::default()));
     let corrections = place(model, splats, views, background, images, share)?;
     let scored = share.each(views.len(), |k| {
         let view = &views[k];
         let camera = corrections[k].unwrap_or_default().apply(&images.camera(view));
         let splats = splats(&Timestamp::new(view.time), &camera);
         let splats = splats.map_err(|e| EvalError::Method { view: view.name.clone(), source: Box::new(e) })?;
-        render_into(&splats, &camera, &options, &mut workspace, &mut frame);
+        rasterizer.render_into(splats.view(), &camera, &options, &mut frame)?;
         let image = images.get(view)?;
         let truth = image.over(background);
         // Of a filmed person, the person counts.
@@ -316,18 +331,16 @@ pub fn evaluate_splats(
 /// The scores of a split and, beside them, those of the views beyond the last training time, where there are any.
 ///
 /// # Errors
-/// As [`evaluate_shared`].
+/// As [`evaluate_with`].
 pub fn evaluate_with_future(
     model: &Model,
     dataset: &Dataset,
     split: Split,
-    background: [f32; 3],
-    images: &ImageCache,
-    share: &Share,
+    scoring: &Scoring<'_>,
 ) -> Result<EvalReport, EvalError> {
-    let mut report = evaluate_shared(model, dataset, split, background, images, share)?;
+    let mut report = evaluate_with(model, dataset, split, scoring)?;
     if !dataset.extrapolate.is_empty() {
-        let future = evaluate_shared(model, dataset, Split::Extrapolate, background, images, share)?;
+        let future = evaluate_with(model, dataset, Split::Extrapolate, scoring)?;
         report.extrapolate = Some(Box::new(future));
     }
     Ok(report)

@@ -13,7 +13,8 @@
 //! * [`report`]: the section that a method adds to the report of a run.
 //! * [`cameras`]: corrections of training cameras that are learnt with the scene.
 //! * [`ranks`]: processes that make every step together, with the bits of one.
-//! * [`checkpoint`], [`saved`]: atomic files of the whole state; [`evaluate`], [`renderer`]: scores and images of a method.
+//! * [`checkpoint`], [`saved`]: atomic files of the whole state; [`evaluate`], [`renderer`]: scores and images of a method;
+//!   [`device`]: what frames are rendered on.
 //!
 //! # Promises
 //! A run is a function of data, configuration and seed: the same bits for any number of threads and ranks, and after any
@@ -30,6 +31,7 @@ pub mod checkpoint;
 #[cfg(feature = "conformance")]
 pub mod conformance;
 pub mod densify;
+pub mod device;
 pub mod domains;
 pub mod error;
 pub mod evaluate;

@@ -1,5 +1,6 @@
 //! Rendering a method or a set of splats to images.
 
+use crate::device::Device;
 use crate::evaluate::clamped;
 use crate::method::MethodError;
 use crate::model::Model;
@@ -8,42 +9,52 @@ use crate::timestamp::Timestamp;
 use gs_core::speed::median_seconds;
 use gs_core::{Camera, Image, SplatsRef, cast};
 use gs_data::View;
-use gs_raster::{Frame, RasterOptions, Workspace, render_into};
+use gs_raster::{Frame, RasterOptions, Rasterizer, Workspace};
 
 /// Renders one frame after the other, reusing memory.
-#[derive(Default)]
 pub struct Renderer {
     /// Options of the rasteriser for every frame.
     pub options: RasterOptions,
-    workspace: Workspace,
+    rasterizer: Box<dyn Rasterizer>,
     frame: Frame,
 }
 
 impl Renderer {
-    /// A renderer with these options.
+    /// A renderer on the CPU with these options.
     pub fn new(options: RasterOptions) -> Self {
-        Self { options, ..Self::default() }
+        Self { options, rasterizer: Box::new(Workspace::new()), frame: Frame::default() }
+    }
+
+    /// A renderer on a device with these options.
+    ///
+    /// # Errors
+    /// [`MethodError::Device`] if the device fails.
+    pub fn on(device: &Device, options: RasterOptions) -> Result<Self, MethodError> {
+        Ok(Self { rasterizer: device.open()?, ..Self::new(options) })
     }
 
     /// Renders splats; the frame holds until the next call.
-    pub fn render<'a>(&mut self, splats: impl Into<SplatsRef<'a>>, camera: &Camera) -> &Frame {
-        render_into(splats, camera, &self.options, &mut self.workspace, &mut self.frame);
-        &self.frame
+    ///
+    /// # Errors
+    /// [`MethodError::Device`] if the device fails; the CPU does not.
+    pub fn render<'a>(&mut self, splats: impl Into<SplatsRef<'a>>, camera: &Camera) -> Result<&Frame, MethodError> {
+        self.rasterizer.render_into(splats.into(), camera, &self.options, &mut self.frame)?;
+        Ok(&self.frame)
     }
 
     /// A model at the time of a view, as an image in `[0, 1]`.
     ///
     /// # Errors
-    /// As [`Method::splats`](crate::method::Method::splats).
+    /// As [`Method::splats`](crate::method::Method::splats) and [`Self::render`].
     pub fn view(&mut self, model: &Model, view: &View, camera: &Camera) -> Result<Image, MethodError> {
         let splats = model.splats(&Timestamp::new(view.time), camera)?;
-        Ok(clamped(self.render(&splats, camera)))
+        Ok(clamped(self.render(&splats, camera)?))
     }
 
     /// Seconds from the timestamp to the image: the median of five renders of a view.
     ///
     /// # Errors
-    /// As [`Method::splats`](crate::method::Method::splats).
+    /// As [`Method::splats`](crate::method::Method::splats) and [`Self::render`].
     pub fn seconds(&mut self, model: &Model, view: &View, camera: &Camera) -> Result<f64, MethodError> {
         let mut result = Ok(());
         let seconds = median_seconds(5, || {
@@ -57,10 +68,10 @@ impl Renderer {
     /// A model at a normalised time, as an image in `[0, 1]`.
     ///
     /// # Errors
-    /// As [`Method::splats`](crate::method::Method::splats).
+    /// As [`Method::splats`](crate::method::Method::splats) and [`Self::render`].
     pub fn at(&mut self, model: &Model, time: f32, camera: &Camera) -> Result<Image, MethodError> {
         let splats = model.splats(&Timestamp::normalised(time), camera)?;
-        Ok(clamped(self.render(&splats, camera)))
+        Ok(clamped(self.render(&splats, camera)?))
     }
 }
 

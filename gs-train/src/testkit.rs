@@ -1,5 +1,9 @@
 //! Short runs for the tests and benches of methods (feature `testkit`). Every function panics where it fails.
 
+mod device;
+
+pub use device::fake_device;
+
 use crate::error::RanksError;
 use crate::ranks::Ranks;
 use crate::registry::{Registry, overlay};

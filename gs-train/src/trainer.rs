@@ -8,6 +8,7 @@
 use crate::adam::{Adam, Refused, Update};
 use crate::checkpoint::Checkpoint;
 use crate::densify::DensifyStats;
+use crate::device::Device;
 use crate::loss::LossValues;
 use crate::method::MethodError;
 use crate::model::Model;
@@ -94,6 +95,7 @@ pub struct Trainer {
     images: Arc<ImageCache>,
     prefetch: Prefetch,
     pass: RenderPass,
+    device: Device,
     order: ViewOrder,
     /// Update rules of the present step, by the name of a block.
     updates: BTreeMap<String, Option<Update>>,
@@ -154,6 +156,7 @@ impl Trainer {
             images,
             prefetch: Prefetch::default(),
             pass,
+            device: Device::default(),
             order,
             updates,
             step: 0,
@@ -200,7 +203,7 @@ impl Trainer {
         config: &toml::Table,
     ) -> Result<Self, TrainError> {
         let next = Self::resume_with_more_views(registry, dataset, &self.state(), config, self.options.image_bytes)?;
-        Ok(Self { images: self.images, ..next })
+        Ok(Self { images: self.images, ..next.on(&self.device)? })
     }
 
     /// A run continued from a checkpoint on data that may hold more views ([`Trainer::with_more_views`]).
@@ -244,8 +247,8 @@ impl Trainer {
     /// Makes the next step.
     ///
     /// # Errors
-    /// At the end of the schedule, if an image cannot be read, or if gradients are not finite. After a numerical failure the
-    /// parameters are to be thrown away.
+    /// At the end of the schedule, if an image cannot be read, the device fails, or gradients are not finite. After a failure in
+    /// the step the state is to be thrown away: the last checkpoint is good.
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
         self.ask(Command::Step)?;
         self.step_with_ranks()

@@ -17,11 +17,10 @@ use gs_core::rot::Mat3;
 use gs_core::splats::SplatsError;
 use gs_core::{Camera, Color, Splats, sh};
 use gs_data::View;
-use gs_data::{Dataset, ImageCache, Split};
-use gs_train::evaluate::{EvalError, EvalReport, evaluate_splats};
+use gs_data::{Dataset, Split};
+use gs_train::evaluate::{EvalError, EvalReport, Scoring, evaluate_splats};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
-use gs_train::ranks::Share;
 use gs_train::timestamp::Timestamp;
 use gs4d_player::PlayerError;
 use std::collections::HashMap;
@@ -216,20 +215,13 @@ impl<'a> AsExported<'a> {
         Ok(splats)
     }
 
-    /// Scores of the files on a split, as [`evaluate_shared`](gs_train::evaluate::evaluate_shared) scores the method.
+    /// Scores of the files on a split, as [`evaluate_with`](gs_train::evaluate::evaluate_with) scores the method.
     ///
     /// # Errors
     /// Those of the evaluation, and of [`Self::splats`].
-    pub fn evaluate(
-        &self,
-        dataset: &Dataset,
-        split: Split,
-        background: [f32; 3],
-        images: &ImageCache,
-        share: &Share,
-    ) -> Result<EvalReport, EvalError> {
+    pub fn evaluate(&self, dataset: &Dataset, split: Split, scoring: &Scoring<'_>) -> Result<EvalReport, EvalError> {
         let splats = |at: &Timestamp, _: &Camera| self.splats(at).map_err(|e| MethodError::Render(e.to_string()));
-        evaluate_splats(self.baker.method, &splats, dataset, split, background, images, share)
+        evaluate_splats(self.baker.method, &splats, dataset, split, scoring)
     }
 
     fn round_trip(&self, at: &Timestamp) -> Result<RawSplats, ExportError> {

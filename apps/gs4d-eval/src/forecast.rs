@@ -143,7 +143,7 @@ pub fn draw(method: &Model, renderer: &mut Renderer, camera: &Camera, time: Time
     let splats = method.splats(&Timestamp::new(time), camera)?;
     let motion = start.elapsed();
     let start = Instant::now();
-    let image = clamped(renderer.render(&splats, camera));
+    let image = clamped(renderer.render(&splats, camera)?);
     let ms = |d: std::time::Duration| 1e3 * d.as_secs_f64();
     Ok(Frame { image, motion_ms: ms(motion), render_ms: ms(start.elapsed()) })
 }

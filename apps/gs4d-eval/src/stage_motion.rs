@@ -12,6 +12,7 @@ use gs_metrics::MetricError;
 use gs_metrics::flow::{Flow, farneback};
 use serde::{Deserialize, Serialize};
 
+use gs_train::method::MethodError;
 use gs_train::renderer::Renderer;
 
 /// The image whose pixels a flow is defined at.
@@ -46,13 +47,16 @@ impl Motion {
 
 /// The exact flow of splats from the means `before` to their present ones. Splats that are not in front of the camera at both
 /// ends have displacement 0. The background of `renderer` is ignored.
+///
+/// # Errors
+/// As [`Renderer::render`].
 pub fn model_motion(
     renderer: &mut Renderer,
     camera: &Camera,
     splats: &Splats,
     before: &[Vec3],
     anchor: Anchor,
-) -> Motion {
+) -> Result<Motion, MethodError> {
     let near = renderer.options.near;
     let project = |world: Vec3| -> Option<DVec2> {
         let point = camera.to_camera(DVec3::from(world));
@@ -68,7 +72,7 @@ pub fn model_motion(
         colored.means.clone_from_slice(before);
     }
     let background = std::mem::take(&mut renderer.options.background);
-    let frame = renderer.render(&colored, camera);
+    let frame = renderer.render(&colored, camera)?;
     let (width, height) = (frame.rgb.width, frame.rgb.height);
     let mut flow = Flow::zeros(width, height);
     let mut cover = Vec::with_capacity(width * height);
@@ -79,7 +83,7 @@ pub fn model_motion(
         cover.push(sum[2]);
     }
     renderer.options.background = background;
-    Motion { flow, cover }
+    Ok(Motion { flow, cover })
 }
 
 /// Farneback's flow between the renders of two stages (RGB in `[0, 1]`), at the pixels of `anchor`.
@@ -149,14 +153,14 @@ mod tests {
         let (was, now) = (wall(Vec3::ZERO), wall(shift));
         for anchor in [Anchor::Later, Anchor::Earlier] {
             let mut p = renderer();
-            let motion = model_motion(&mut p, &c, &now, &was.means, anchor);
+            let motion = model_motion(&mut p, &c, &now, &was.means, anchor).unwrap();
             assert!(motion.seen().iter().all(|s| *s) && p.options.background == [0.3; 3]);
             let error = end_point_error(&motion.flow, &want).unwrap();
             let worst = motion.flow.u.iter().zip(&motion.flow.v).map(|(u, v)| (u - want.u[0]).hypot(v - want.v[0]));
             let worst = worst.fold(0.0, f32::max);
             println!("model flow, {anchor:?}: mean error {error:.1e} px, worst {worst:.1e} px");
             assert!(worst < 1e-4, "{worst} px");
-            let mut image = |s: &Splats| p.render(s, &c).rgb.clone();
+            let mut image = |s: &Splats| p.render(s, &c).unwrap().rgb.clone();
             let seen = estimated_motion(&image(&was), &image(&now), anchor).unwrap();
             let error = end_point_error(&seen, &want).unwrap();
             println!("Farneback, {anchor:?}: mean error {error:.3} px");
@@ -168,7 +172,7 @@ mod tests {
     #[test]
     fn an_approach_spreads_from_the_middle() {
         let (c, forward) = (camera(), Vec3::new(0.0, 0.0, -0.5));
-        let motion = model_motion(&mut renderer(), &c, &wall(forward), &wall(Vec3::ZERO).means, Anchor::Later);
+        let motion = model_motion(&mut renderer(), &c, &wall(forward), &wall(Vec3::ZERO).means, Anchor::Later).unwrap();
         let factor = 1.0 - (DEPTH - 0.5) / DEPTH;
         // A splat shows within two of its standard deviations, with the flow of its centre.
         let reach = 2.0 * SIGMA * c.fx as f32 / (DEPTH - 0.5) * factor;
@@ -183,12 +187,12 @@ mod tests {
     #[test]
     fn nothing_moves_by_nothing_and_nothing_is_seen_of_nothing() {
         let (c, still) = (camera(), wall(Vec3::ZERO));
-        let motion = model_motion(&mut renderer(), &c, &still, &still.means, Anchor::Later);
+        let motion = model_motion(&mut renderer(), &c, &still, &still.means, Anchor::Later).unwrap();
         assert!(motion.flow.magnitudes().iter().all(|m| *m == 0.0) && motion.seen().iter().all(|s| *s));
-        let empty = model_motion(&mut renderer(), &c, &Splats::default(), &[], Anchor::Earlier);
+        let empty = model_motion(&mut renderer(), &c, &Splats::default(), &[], Anchor::Earlier).unwrap();
         assert!(empty.cover.iter().all(|c| *c == 0.0) && !empty.seen().contains(&true));
         let behind: Vec<Vec3> = still.means.iter().map(|m| *m + Vec3::Z * -9.0).collect();
-        let motion = model_motion(&mut renderer(), &c, &still, &behind, Anchor::Later);
+        let motion = model_motion(&mut renderer(), &c, &still, &behind, Anchor::Later).unwrap();
         assert!(motion.flow.magnitudes().iter().all(|m| *m == 0.0), "what was behind the camera has no flow");
     }
 }

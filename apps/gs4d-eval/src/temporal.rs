@@ -4,8 +4,9 @@
 //! typical time steps of the data set apart. Anything else is an error.
 
 use crate::folders::VideoScore;
-use gs_data::{DataError, Dataset, ImageCache, Split, View};
+use gs_data::{DataError, Dataset, Split, View};
 use gs_metrics::{MetricError, Tof, TofOptions};
+use gs_train::evaluate::Scoring;
 use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::renderer::Renderer;
@@ -63,20 +64,20 @@ pub enum TemporalError {
     },
 }
 
-/// tOF of the views of a split, rendered over `background`, in order of time.
+/// tOF of the views of a split, in order of time; one rank renders them all.
 ///
 /// # Errors
-/// If the views are no video, an image cannot be read, or frames cannot be compared.
+/// If the views are no video, an image cannot be read, frames cannot be compared, or the device fails.
 pub fn tof(
     method: &Model,
     dataset: &Dataset,
     split: Split,
-    background: [f32; 3],
-    images: &ImageCache,
+    scoring: &Scoring<'_>,
     options: TofOptions,
 ) -> Result<VideoScore, TemporalError> {
     let views = video(dataset, split)?;
-    let mut renderer = Renderer::new(method.raster_options(background));
+    let Scoring { background, images, device, .. } = *scoring;
+    let mut renderer = Renderer::on(device, method.raster_options(background))?;
     let mut tof = Tof::new(options);
     for view in &views {
         let image = renderer.view(method, view, &images.camera(view))?;

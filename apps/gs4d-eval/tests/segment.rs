@@ -269,7 +269,7 @@ fn the_strongest_part_or_the_background_is_shown() {
     };
     let mut masker = Masker::new(gs_raster::RasterOptions { background: [1.0; 3], ..Default::default() });
     for (opacities, id, sure) in [([0.7, 0.9], 6, 0.7), ([0.2, 0.8], 1, 0.64), ([0.3, 0.2], 0, 0.56)] {
-        let mask = masker.draw(&splats(opacities), &[5, 0], 6, &camera);
+        let mask = masker.draw(&splats(opacities), &[5, 0], 6, &camera).unwrap();
         assert_eq!((mask.ids[8 * 16 + 8], mask.width, mask.height), (id, 16, 16));
         assert!((mask.confidence[8 * 16 + 8] - sure).abs() < 0.01, "{}", mask.confidence[8 * 16 + 8]);
     }

@@ -109,9 +109,8 @@ impl Run {
         let model = &self.0.loaded.model;
         let mut renderer = Renderer::new(model.raster_options(background.unwrap_or(self.0.background())));
         renderer.options.check().map_err(error)?;
-        let frame = py.detach(|| {
-            pool.install(|| model.splats(&at, &camera).map(|splats| renderer.render(&splats, &camera).clone()))
-        });
+        let frame = py
+            .detach(|| pool.install(|| model.splats(&at, &camera).and_then(|s| renderer.render(&s, &camera).cloned())));
         let (frame, out) = (frame.map_err(error)?, PyDict::new(py));
         let [height, width] = [camera.height as usize, camera.width as usize];
         out.set_item("colors", shaped(py, frame.rgb.data, &[height, width, 3])?)?;

@@ -15,9 +15,8 @@ use crate::score_table::{conditions, number_or_dash};
 use gs_core::Image;
 use gs_data::{Dataset, ImageCache, Split, View};
 use gs_metrics::{mse, psnr_from_mse};
-use gs_train::evaluate::{EvalError, EvalReport, evaluate, evaluate_with_future};
+use gs_train::evaluate::{EvalError, EvalReport, evaluate_with, evaluate_with_future};
 use gs_train::method::MethodError;
-use gs_train::ranks::Share;
 use gs_train::renderer::Renderer;
 use gs4d_eval::spread::{SCORES, Spread};
 use serde::Serialize;
@@ -216,9 +215,10 @@ fn row(
 ) -> Result<Row, CompareError> {
     let OpenRun { loaded, resolved, .. } = &side.run;
     let method = &loaded.model;
+    let scoring = side.run.scoring(background, images);
     let mut scores = match split {
-        Split::Extrapolate => evaluate(method, dataset, split, background, images)?,
-        _ => evaluate_with_future(method, dataset, split, background, images, &Share::default())?,
+        Split::Extrapolate => evaluate_with(method, dataset, split, &scoring)?,
+        _ => evaluate_with_future(method, dataset, split, &scoring)?,
     };
     scores.train_seconds = Some(loaded.train_seconds);
     let view = dataset.views(split).first();

@@ -8,7 +8,8 @@ use crate::compact::{self, SETTINGS};
 use crate::kept::Kept;
 use gs_data::{Dataset, ImageCache, Split, View};
 use gs_train::checkpoint::{self, Checkpoint, Newest, Skipped};
-use gs_train::evaluate::{EvalReport, evaluate_shared, evaluate_with_future};
+use gs_train::device::Device;
+use gs_train::evaluate::{EvalReport, Scoring, evaluate_with, evaluate_with_future};
 use gs_train::ranks::Share;
 use gs_train::registry::Registry;
 use gs_train::saved::{self, Loaded};
@@ -29,6 +30,8 @@ pub struct OpenRun {
     pub skipped: Vec<Skipped>,
     /// The ranks that score it together.
     pub share: Arc<Share>,
+    /// The device that renders it where it is scored.
+    pub device: Device,
     /// What was kept of the data, as JSON.
     kept: Option<Value>,
     /// Whether the folder of the data was given, instead of the one the run has kept.
@@ -87,8 +90,8 @@ impl OpenRun {
         let loaded = saved::load_with(registry, &newest.checkpoint, None, avatar)
             .map_err(gs_train::trainer::TrainError::State)?;
         let Newest { path, skipped, .. } = newest;
-        let (share, moved) = (Arc::default(), data.is_some());
-        Ok(Self { folder, resolved, loaded, path, skipped, share, kept, moved })
+        let (share, device, moved) = (Arc::default(), Device::default(), data.is_some());
+        Ok(Self { folder, resolved, loaded, path, skipped, share, device, kept, moved })
     }
 
     /// The data set of the run.
@@ -141,13 +144,18 @@ impl OpenRun {
         self.resolved.images()
     }
 
+    /// How its views are scored: by its ranks, on its device.
+    pub fn scoring<'a>(&'a self, background: [f32; 3], images: &'a ImageCache) -> Scoring<'a> {
+        Scoring { background, images, share: &self.share, device: &self.device }
+    }
+
     /// Scores a split of the run's data.
     ///
     /// # Errors
-    /// If the split is empty or an image cannot be read.
+    /// If the split is empty, an image cannot be read, or the device fails.
     pub fn score(&self, dataset: &Dataset, split: Split, background: [f32; 3]) -> Result<EvalReport, RunError> {
         let (model, images) = (&self.loaded.model, self.images());
-        let mut report = evaluate_shared(model, dataset, split, background, &images, &self.share)?;
+        let mut report = evaluate_with(model, dataset, split, &self.scoring(background, &images))?;
         report.train_seconds = Some(self.loaded.train_seconds);
         Ok(report)
     }
@@ -156,10 +164,11 @@ impl OpenRun {
     /// what `metrics.json` holds.
     ///
     /// # Errors
-    /// If there are no test views or an image cannot be read.
+    /// If there are no test views, an image cannot be read, or the device fails.
     pub fn score_for_folder(&self, dataset: &Dataset) -> Result<EvalReport, RunError> {
-        let (model, images, background) = (&self.loaded.model, self.images(), self.background());
-        let mut report = evaluate_with_future(model, dataset, Split::Test, background, &images, &self.share)?;
+        let (model, images) = (&self.loaded.model, self.images());
+        let scoring = self.scoring(self.background(), &images);
+        let mut report = evaluate_with_future(model, dataset, Split::Test, &scoring)?;
         report.train_seconds = Some(self.loaded.train_seconds);
         Ok(report)
     }

@@ -28,13 +28,13 @@ pub(crate) fn overlay_figures(method: &Model, view: &View, camera: &Camera) -> R
     let mut renderer = Renderer::new(RasterOptions { background: [0.0; 3], ..method.raster_options([0.0; 3]) });
     let mut render = |splats: &Splats, overlay: Overlay| {
         let color = &Color::Rgb(overlay.colors);
-        clamped(renderer.render(SplatsRef { color, ..splats.view() }, camera))
+        renderer.render(SplatsRef { color, ..splats.view() }, camera).map(clamped)
     };
     let quantities = method.quantities(&at)?;
     let mut figures = Vec::new();
     for q in quantities.iter().filter(|q| q.values.len() == splats.len()) {
         let (q, clipped) = within(q);
-        let image = render(&splats, q.overlay());
+        let image = render(&splats, q.overlay())?;
         let histogram = Some(Histogram::of(q.name, None, q.span(), &q.values));
         let name = if q.unit.is_empty() { q.name.to_owned() } else { format!("{}, {}", q.name, q.unit) };
         figures.push(OverlayFigure { name, image, legend: legend(&q, clipped), histogram });
@@ -42,9 +42,9 @@ pub(crate) fn overlay_figures(method: &Model, view: &View, camera: &Camera) -> R
     let known = |o: &Overlay| quantities.iter().any(|q| q.name == o.name);
     for overlay in method.overlays(&at)?.into_iter().filter(|o| !known(o) && o.colors.len() == splats.len()) {
         let (name, legend) = (overlay.name.to_owned(), Legend::Words(overlay.meaning.to_owned()));
-        figures.push(OverlayFigure { name, image: render(&splats, overlay), legend, histogram: None });
+        figures.push(OverlayFigure { name, image: render(&splats, overlay)?, legend, histogram: None });
     }
-    figures.extend(parts_figure(method, &splats, &mut render));
+    figures.extend(parts_figure(method, &splats, &mut render)?);
     Ok(figures)
 }
 
@@ -52,13 +52,11 @@ pub(crate) fn overlay_figures(method: &Model, view: &View, camera: &Camera) -> R
 fn parts_figure(
     method: &Model,
     splats: &Splats,
-    render: &mut impl FnMut(&Splats, Overlay) -> gs_core::Image,
-) -> Option<OverlayFigure> {
-    method.capabilities().particles?;
-    let labels = segment::segment(method, &segment::Options::default()).ok()?;
-    if labels.of.len() != splats.len() {
-        return None;
-    }
+    render: &mut impl FnMut(&Splats, Overlay) -> Result<gs_core::Image, MethodError>,
+) -> Result<Option<OverlayFigure>, MethodError> {
+    let has_twists = method.capabilities().particles.is_some();
+    let labels = has_twists.then(|| segment::segment(method, &segment::Options::default()).ok()).flatten();
+    let Some(labels) = labels.filter(|labels| labels.of.len() == splats.len()) else { return Ok(None) };
     let colors = labels.of.iter().map(|l| segment::color(l + 1)).collect();
     let kind = |p: &segment::Part| {
         let text = format!(
@@ -72,8 +70,8 @@ fn parts_figure(
         (segment::color(p.id), text)
     };
     let legend = Legend::Kinds(parts::table(&labels).iter().map(kind).collect());
-    let image = render(splats, Overlay { name: "parts", colors, meaning: "" });
-    Some(OverlayFigure { name: "parts that share a motion".to_owned(), image, legend, histogram: None })
+    let image = render(splats, Overlay { name: "parts", colors, meaning: "" })?;
+    Ok(Some(OverlayFigure { name: "parts that share a motion".to_owned(), image, legend, histogram: None }))
 }
 
 /// The attribute with an interval of nearly all of its values, and whether some lie outside.

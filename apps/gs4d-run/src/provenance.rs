@@ -4,6 +4,7 @@ use crate::RunError;
 use crate::folder::{PROVENANCE, RunFolder};
 use gs_data::{Dataset, ImageSource};
 use gs_raster::SimdLevel;
+use gs_train::device::CPU;
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::fs::{self, File};
@@ -24,6 +25,8 @@ pub(crate) struct Machine {
     pub(crate) threads: usize,
     /// Instruction set of the rasteriser.
     pub(crate) simd: String,
+    /// Device that frames are rendered on ([`note_device`]).
+    pub(crate) device: &'static str,
     /// Operating system and architecture.
     pub(crate) system: String,
 }
@@ -60,6 +63,7 @@ impl Machine {
             cpu: cpu_name(),
             threads: rayon::current_num_threads(),
             simd: gs_raster::simd::level_name(level),
+            device: CPU,
             system: format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
         }
     }
@@ -99,7 +103,7 @@ pub(crate) fn resumed(
     accept_changed_data: bool,
 ) -> Result<Session, RunError> {
     // A run whose provenance was lost can go on; there is nothing to compare with.
-    let Some(mut provenance) = folder.read(PROVENANCE).ok().and_then(|t| serde_json::from_str::<Value>(&t).ok()) else {
+    let Some(mut provenance) = read(folder) else {
         let warnings = vec![format!("{PROVENANCE} cannot be read: whether the data are the same is not known")];
         return Ok(Session { provenance: None, warnings });
     };
@@ -128,6 +132,41 @@ pub(crate) fn resumed(
         sessions.as_array_mut().into_iter().for_each(|s| s.push(session.clone()));
     }
     Ok(Session { provenance: Some(format!("{provenance:#}\n")), warnings })
+}
+
+fn read(folder: &RunFolder) -> Option<Value> {
+    serde_json::from_str(&folder.read(PROVENANCE).ok()?).ok()
+}
+
+/// Writes the device of the present session into the provenance of a run; a warning if the session before had another. Files
+/// without a device are of the CPU.
+///
+/// # Errors
+/// If the file cannot be written.
+pub(crate) fn note_device(folder: &RunFolder, device: &str) -> Result<Option<String>, RunError> {
+    let Some(mut provenance) = read(folder) else { return Ok(None) };
+    let present = provenance["resumed"].as_array().map_or(0, Vec::len);
+    let machine = |session: usize| match session {
+        0 => "/machine".to_owned(),
+        n => format!("/resumed/{}/machine", n - 1),
+    };
+    let device_of = |session: usize| {
+        let machine = provenance.pointer(&machine(session)).and_then(|m| m["device"].as_str());
+        machine.unwrap_or(CPU).to_owned()
+    };
+    let before = present.checked_sub(1).map(device_of).filter(|before| before != device);
+    if device_of(present) != device
+        && let Some(machine) = provenance.pointer_mut(&machine(present)).and_then(Value::as_object_mut)
+    {
+        machine.insert("device".to_owned(), json!(device));
+        folder.write(PROVENANCE, &format!("{provenance:#}\n"))?;
+    }
+    let warning = |before| {
+        format!(
+            "the run was rendered on {before} and goes on on {device}: from here on its bits are not those of one device"
+        )
+    };
+    Ok(before.map(warning))
 }
 
 /// Bytes of a file that are hashed at its beginning, its middle and its end.

@@ -8,6 +8,7 @@ use super::{Resolved, RunError, commands, per_view, score_table};
 use gs_core::{Camera, Time};
 use gs_data::{Dataset, ImageCache, View};
 use gs_raster::RasterOptions;
+use gs_train::device::Device;
 use gs_train::evaluate::{EvalReport, clamped};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
@@ -41,6 +42,8 @@ pub(crate) struct ReportInput<'a> {
     pub(crate) dataset: &'a Dataset,
     /// Images of the data set.
     pub(crate) images: &'a ImageCache,
+    /// The device that frames are rendered on.
+    pub(crate) device: &'a Device,
     /// Scores of a split.
     pub(crate) scores: &'a EvalReport,
     /// Radius of the scene, world units.
@@ -56,7 +59,7 @@ pub(crate) struct ReportInput<'a> {
 pub(crate) fn build_report(m: &ReportInput) -> Result<Report, RunError> {
     let log = m.folder.log_lines(folder::LOG)?;
     let options = m.method.raster_options(m.scores.background);
-    let mut renderer = Renderer::new(options.clone());
+    let mut renderer = Renderer::on(m.device, options.clone())?;
     let ranked: Vec<&View> = score_table::ranked(m.dataset, m.scores).into_iter().map(|(view, _)| view).collect();
     let future = m.scores.extrapolate.as_deref();
     let mut report = Report {
@@ -178,8 +181,8 @@ fn cost_figures(m: &ReportInput, peak_mib: Option<f64>, seconds: f64, camera: &C
     let bytes = bytes_text(s.parameter_bytes.try_into().unwrap_or(usize::MAX));
     let trained = s.train_seconds.unwrap_or(0.0);
     let per_step = format!("{} steps, {:.1} ms each", m.step, 1e3 * trained / f64::from(m.step.max(1)));
-    let size =
-        format!("{}×{}, field and rendering, threads: {}", camera.width, camera.height, rayon::current_num_threads());
+    let (threads, on) = (rayon::current_num_threads(), m.device.name());
+    let size = format!("{}×{}, field and rendering on {on}, threads: {threads}", camera.width, camera.height);
     let mut figures = vec![figure(format!("{trained:.1} s"), "training", per_step)];
     figures.extend(peak_mib.map(|p| figure(format!("{p:.0} MiB"), "peak memory", "of the process, while training")));
     figures.extend([
@@ -241,7 +244,7 @@ fn jerk(m: &ReportInput, view: &View, camera: &Camera) -> Result<Vec<Still>, Met
     };
     let splats = painted(m.method.all_splats(&Timestamp::normalised(time), camera)?, overlay);
     let caption = format!("second differences at t = {time:.2}: black at rest, white at the largest");
-    Ok(vec![Still { caption, image: clamped(renderer.render(&splats, camera)) }])
+    Ok(vec![Still { caption, image: clamped(renderer.render(&splats, camera)?) }])
 }
 
 fn analysis(m: &ReportInput, seen: &[(Camera, Time)], options: &RasterOptions) -> Result<Vec<ReportRow>, MethodError> {

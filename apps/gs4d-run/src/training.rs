@@ -17,8 +17,9 @@ use gs_core::io::cameras::{NamedCamera, save_cameras};
 use gs_core::io::write_file;
 use gs_data::{Dataset, ImageCache, Split};
 use gs_train::checkpoint::{self, Newest, Skipped};
-use gs_train::evaluate::{EvalReport, evaluate};
-use gs_train::ranks::Ranks;
+use gs_train::device::Device;
+use gs_train::evaluate::{EvalReport, Scoring, evaluate_with};
+use gs_train::ranks::{Ranks, Share};
 use gs_train::registry::Registry;
 use gs_train::renderer::file_stem;
 use gs_train::trainer::{TrainError, TrainOptions, Trainer};
@@ -208,6 +209,16 @@ impl Training {
         Self { trainer, resolved, folder, logs, patience, window, stop_at, skipped, warnings }
     }
 
+    /// The same run, its frames rendered on this device from now on; its provenance names it. To be called before the first step.
+    ///
+    /// # Errors
+    /// If the device fails, or the provenance cannot be written.
+    pub fn on(mut self, device: &Device) -> Result<Self, RunError> {
+        self.trainer = self.trainer.on(device)?;
+        self.warnings.extend(provenance::note_device(&self.folder, device.name())?);
+        Ok(self)
+    }
+
     /// The same run, trained together with the other ranks, which are in [`follow`](crate::ranks::follow). Files, reports and bits
     /// are those of one rank.
     ///
@@ -347,7 +358,10 @@ impl Training {
         let dataset = self.trainer.dataset();
         let split = if dataset.val.is_empty() { Split::Train } else { Split::Val };
         let few = few_views(dataset, split, self.resolved.run.eval_views as usize);
-        let report = evaluate(self.trainer.model(), &few, split, self.background(), &self.images())?;
+        let (images, share) = (self.images(), Share::default());
+        let (background, device) = (self.background(), self.trainer.device());
+        let scoring = Scoring { background, images: &images, share: &share, device };
+        let report = evaluate_with(self.trainer.model(), &few, split, &scoring)?;
         let line = json!({
             "step": self.trainer.steps_done(),
             "seconds": self.trainer.train_seconds(),
@@ -399,6 +413,7 @@ impl Training {
             method: self.trainer.model(),
             dataset: self.trainer.dataset(),
             images: &images,
+            device: self.trainer.device(),
             scores,
             extent: self.trainer.scene().extent,
             step: self.trainer.steps_done(),

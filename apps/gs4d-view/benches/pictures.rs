@@ -7,6 +7,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use gs_core::io::{Limits, images::decode_image};
 use gs_core::speed::{BenchRow, Stopwatch};
 use gs_raster::measure;
+use gs_train::device::Device;
 use gs4d_view::picture::Renderer;
 use gs4d_view::question::Question;
 use gs4d_view::{Packing, Show, Stage};
@@ -29,7 +30,7 @@ fn question(shrink: u32) -> Question {
 
 fn pictures(c: &mut Criterion) {
     let stage = Stage::new(vec![Show::splats("scene".into(), measure::scene(SPLATS, 3))]);
-    let mut renderer = Renderer::default();
+    let mut renderer = Renderer::on(&Device::default()).expect("the CPU");
     let exact =
         |renderer: &mut Renderer, q: &Question| renderer.answer(&stage, q, Packing::Png).expect("a picture").bytes;
     for (case, shrink) in [("at rest", 1), ("moving", 4)] {

@@ -17,7 +17,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let stage = Stage::new(vec![Show::splats("scene".into(), splats)]);
     let (host, packing) = (Ipv4Addr::LOCALHOST.into(), Packing::Png);
-    let options = Options { host, port: 7007, packing, share: None, request_time: REQUEST_TIME };
+    let device = gs_train::device::Device::default();
+    let options = Options { host, port: 7007, packing, share: None, request_time: REQUEST_TIME, device };
     let server = start(stage, &options)?;
     println!("{}\nEnter ends it", server.url);
     std::io::stdin().read_line(&mut String::new())?;

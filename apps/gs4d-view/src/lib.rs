@@ -63,6 +63,9 @@ pub enum ViewError {
     /// Threads of the server cannot be started.
     #[error("cannot start the server: {0}")]
     Threads(std::io::Error),
+    /// The device that renders failed.
+    #[error(transparent)]
+    Device(#[from] gs_raster::DeviceError),
     /// The stage has no show.
     #[error("there is nothing to show: give a run or a splat file")]
     Nothing,

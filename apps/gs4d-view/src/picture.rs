@@ -12,7 +12,8 @@ use crate::stage::Stage;
 use crate::style::Style;
 use gs_core::{Camera, Color, Image, Splats};
 use gs_metrics::psnr;
-use gs_raster::{Frame, Workspace, blend_counts, render_into};
+use gs_raster::{DeviceError, Frame, Rasterizer, Workspace, blend_counts, render_into};
+use gs_train::device::Device;
 use gs_train::evaluate::clamped;
 use gs_train::palette::color_scale;
 use gs_train::renderer::{depth_colors, depth_span, file_stem, mean_depth};
@@ -31,14 +32,22 @@ pub struct Answer {
 }
 
 /// Renders layers; buffers are reused between images.
-#[derive(Default)]
 pub struct Renderer {
-    workspace: Workspace,
+    rasterizer: Box<dyn Rasterizer>,
     frame: Frame,
     selections: SelectionCache,
 }
 
 impl Renderer {
+    /// Renders on a device.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn on(device: &Device) -> Result<Self, DeviceError> {
+        let (frame, selections) = Default::default();
+        Ok(Self { rasterizer: device.open()?, frame, selections })
+    }
+
     /// Answers a question.
     ///
     /// # Errors
@@ -115,18 +124,18 @@ impl Renderer {
             }
             "color" => self.color(shot, header)?,
             "alpha" => {
-                self.render(shot.splats()?, shot);
+                self.render(shot.splats()?, shot)?;
                 header["legend"] = grey("alpha", &self.frame.alpha);
                 self.image(self.frame.alpha.iter().flat_map(|&a| [a; 3]).collect())
             }
             "depth" => {
-                self.render(shot.splats()?, shot);
+                self.render(shot.splats()?, shot)?;
                 self.depth(header)
             }
             "count" => self.count(shot, header)?,
             name => {
                 let splats = painted_splats(shot, name, header)?;
-                clamped(self.render(Cow::Owned(splats), shot))
+                clamped(self.render(Cow::Owned(splats), shot)?)
             }
         };
         Ok(if fine { halved(&image) } else { image })
@@ -166,13 +175,14 @@ impl Renderer {
         Ok(())
     }
 
-    fn render(&mut self, splats: Cow<'_, Splats>, shot: &Shot) -> &Frame {
+    fn render(&mut self, splats: Cow<'_, Splats>, shot: &Shot) -> Result<&Frame, String> {
         let drawn = match shot.style {
             Style::Splats => splats,
             style => Cow::Owned(style.of(splats.into_owned(), &shot.camera)),
         };
-        render_into(&*drawn, &shot.camera, &shot.options(), &mut self.workspace, &mut self.frame);
-        &self.frame
+        let rendered = self.rasterizer.render_into(drawn.view(), &shot.camera, &shot.options(), &mut self.frame);
+        rendered.map_err(|e| e.to_string())?;
+        Ok(&self.frame)
     }
 
     fn image(&self, data: Vec<f32>) -> Image {
@@ -186,7 +196,7 @@ impl Renderer {
             Err(why) => (Cow::Owned(Splats::default()), Some(why)),
         };
         header["splats"] = json!(splats.len());
-        let image = clamped(self.render(Cow::Borrowed(&*splats), shot));
+        let image = clamped(self.render(Cow::Borrowed(&*splats), shot)?);
         if let Some(why) = error.or_else(|| self.blank(&splats, &shot.camera)) {
             header["blank"] = json!(why);
         }
@@ -202,11 +212,12 @@ impl Renderer {
         self.image(depth_colors(&depths, span))
     }
 
-    /// Number of splats blended into each pixel.
+    /// Number of splats blended into each pixel, counted on the CPU.
     fn count(&mut self, shot: &Shot, header: &mut Value) -> Result<Image, String> {
         let splats = shot.style.of(shot.splats()?.into_owned(), &shot.camera);
-        render_into(&splats, &shot.camera, &shot.options(), &mut self.workspace, &mut self.frame);
-        let counts = blend_counts(&splats, &shot.options(), &mut self.workspace);
+        let mut workspace = Workspace::new();
+        render_into(&splats, &shot.camera, &shot.options(), &mut workspace, &mut self.frame);
+        let counts = blend_counts(&splats, &shot.options(), &mut workspace);
         let counts: Vec<f32> = counts.into_iter().map(|c| c as f32).collect();
         let max_count = counts.iter().copied().fold(1.0, f32::max);
         // The histogram leaves out empty pixels.

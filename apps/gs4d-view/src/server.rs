@@ -10,6 +10,7 @@ use crate::stage::Stage;
 use crate::turns::Turns;
 use crate::{requests, routes};
 use gs_data::avatar::AvatarScene;
+use gs_train::device::Device;
 use gs_train::registry::Registry;
 use serde_json::{Value, json};
 use std::net::{IpAddr, SocketAddr, TcpListener};
@@ -24,7 +25,7 @@ const EXTRA_PORTS: u16 = 20;
 pub const REQUEST_TIME: Duration = Duration::from_secs(10);
 
 /// Where the server listens and how much of the machine it uses.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Options {
     /// Address to listen at; loopback unless other machines are to connect.
     pub host: IpAddr,
@@ -36,6 +37,8 @@ pub struct Options {
     pub share: Option<f64>,
     /// How long a connection may last that is no WebSocket: a request that is not complete by then is not answered.
     pub request_time: Duration,
+    /// What renders the images.
+    pub device: Device,
 }
 
 /// A running viewer; dropping it stops the server.
@@ -83,6 +86,7 @@ pub(crate) struct Shared {
     pub(crate) guard: Guard,
     pub(crate) packing: Packing,
     pub(crate) renderer: Mutex<Renderer>,
+    device: Device,
     pub(crate) turns: Arc<Turns>,
     pub(crate) outbox: Arc<Outbox>,
     /// Connected browsers.
@@ -111,7 +115,8 @@ impl Shared {
             stage,
             guard,
             packing: options.packing,
-            renderer: Mutex::default(),
+            renderer: Mutex::new(Renderer::on(&options.device)?),
+            device: options.device.clone(),
             turns: Arc::default(),
             outbox: Arc::default(),
             clients: AtomicUsize::new(0),
@@ -158,8 +163,9 @@ impl Shared {
     pub(crate) fn release_buffers(&self) {
         if self.clients.load(Ordering::SeqCst) == 0
             && let Ok(mut renderer) = self.renderer.try_lock()
+            && let Ok(empty) = Renderer::on(&self.device)
         {
-            *renderer = Renderer::default();
+            *renderer = empty;
         }
     }
 }
@@ -167,13 +173,14 @@ impl Shared {
 /// Starts a server in its own threads.
 ///
 /// # Errors
-/// If there is no show, no free port, or threads cannot be started.
+/// If there is no show, no free port, threads cannot be started, or the device fails.
 ///
 /// ```
 /// use gs4d_view::{Options, Packing, REQUEST_TIME, Show, Stage, start};
 /// let stage = Stage::new(vec![Show::splats("empty".into(), gs_core::Splats::default())]);
 /// let (host, packing) = ([127, 0, 0, 1].into(), Packing::Png);
-/// let options = Options { host, port: 18_900, packing, share: None, request_time: REQUEST_TIME };
+/// let device = gs_train::device::Device::default();
+/// let options = Options { host, port: 18_900, packing, share: None, request_time: REQUEST_TIME, device };
 /// let server = start(stage, &options)?;
 /// assert!(server.url.starts_with("http://127.0.0.1:189") && server.url.contains("/?k="));
 /// # Ok::<(), gs4d_view::ViewError>(())

@@ -5,6 +5,7 @@ mod support;
 
 use gs_raster::measure;
 use gs_synth::{self as synth, SynthOptions};
+use gs_train::device::Device;
 use gs4d_run::{Outcome, Request, Training, settings};
 use gs4d_view::{Options, Packing, REQUEST_TIME, Server, Show, Stage, start};
 use serde_json::{Value, json};
@@ -29,7 +30,8 @@ const IDLE: usize = 550;
 const ADDRESS: &str = "GS4D_VIEW_TEST_ADDRESS";
 
 fn serve(show: Show, port: u16, share: Option<f64>, request_time: Duration) -> Server {
-    let options = Options { host: [127, 0, 0, 1].into(), port, packing: Packing::Png, share, request_time };
+    let (host, device) = ([127, 0, 0, 1].into(), Device::default());
+    let options = Options { host, port, packing: Packing::Png, share, request_time, device };
     start(Stage::new(vec![show]), &options).unwrap()
 }
 

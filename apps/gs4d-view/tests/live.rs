@@ -4,6 +4,7 @@ mod support;
 
 use gs_synth::{self as synth, SynthOptions};
 use gs_train::checkpoint::Checkpoint;
+use gs_train::device::Device;
 use gs4d_run::{Outcome, Request, Training, settings};
 use gs4d_view::{Options, Packing, REQUEST_TIME, Server, Show, Stage, start};
 use serde_json::{Value, json};
@@ -32,7 +33,7 @@ fn state(training: &Training) -> Checkpoint {
 
 fn serve(show: Show) -> Server {
     let (host, packing, share) = ([127, 0, 0, 1].into(), Packing::Png, Some(0.5));
-    let options = Options { host, port: 18_300, packing, share, request_time: REQUEST_TIME };
+    let options = Options { host, port: 18_300, packing, share, request_time: REQUEST_TIME, device: Device::default() };
     start(Stage::new(vec![show]), &options).unwrap()
 }
 

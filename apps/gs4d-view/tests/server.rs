@@ -3,6 +3,7 @@
 mod support;
 
 use gs_core::{Color, Kernel, Splats};
+use gs_train::device::Device;
 use gs4d_view::{Options, Packing, REQUEST_TIME, Server, Show, Stage, start};
 use serde_json::{Value, json};
 use std::io::{Read, Write};
@@ -26,7 +27,9 @@ fn scene() -> Splats {
 
 fn server(packing: Packing) -> Server {
     let stage = Stage::new(vec![Show::splats("red".into(), scene())]);
-    start(stage, &Options { host: LOCAL, port: 18_200, packing, share: None, request_time: REQUEST_TIME }).unwrap()
+    let device = Device::default();
+    start(stage, &Options { host: LOCAL, port: 18_200, packing, share: None, request_time: REQUEST_TIME, device })
+        .unwrap()
 }
 
 /// The status line and body of a plain request.

@@ -195,6 +195,7 @@ impl From<MethodError> for Failure {
     fn from(e: MethodError) -> Self {
         let class = match e {
             MethodError::Data(e) => return (*e).into(),
+            MethodError::Device(e) => return e.into(),
             MethodError::Render(_) => return Self::new(Class::Data, "method.moment", e.to_string()),
             MethodError::Loss(_) => return Self::new(Class::Numeric, "numeric", e.to_string()),
             MethodError::Scene(_) | MethodError::Cloud(_) => Class::Data,
@@ -230,6 +231,7 @@ impl From<EvalError> for Failure {
     fn from(e: EvalError) -> Self {
         match e {
             EvalError::Data(e) => e.into(),
+            EvalError::Device(e) => e.into(),
             EvalError::Rank(e) => e.into(),
             EvalError::NoViews(_) => Self::new(Class::Data, "data.split", e.to_string()),
             EvalError::Method { .. } => Self::new(Class::Data, "method.moment", e.to_string()),
@@ -280,6 +282,7 @@ impl From<TemporalError> for Failure {
     fn from(e: TemporalError) -> Self {
         match e {
             TemporalError::Data(e) => e.into(),
+            TemporalError::Method(MethodError::Device(e)) => e.into(),
             TemporalError::Metric { .. } => Self::new(Class::Data, "data.metric", e.to_string()),
             _ => Self::new(Class::Data, "data.video", e.to_string())
                 .why("flow between views that do not follow each other is noise")

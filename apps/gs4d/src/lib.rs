@@ -8,6 +8,7 @@
 #![warn(clippy::print_stderr, clippy::print_stdout, reason = "both panic where nobody reads them any more")]
 
 mod answer;
+mod device;
 mod encoder;
 mod failure;
 mod global;

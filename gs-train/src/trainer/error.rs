@@ -66,11 +66,13 @@ impl TrainError {
         RanksError::short(rank).into()
     }
 
-    /// The exit code of the command line: 3 data, 4 numerical failure, 2 wrong usage, 6 ranks that cannot talk, 1 ranks that differ.
+    /// The exit code of the command line: 3 data, 4 numerical failure, 5 a device that fails, 2 wrong usage, 6 ranks that cannot
+    /// talk, 1 ranks that differ.
     pub fn exit_code(&self) -> u8 {
         match self {
             TrainError::Data(_) => 3,
             TrainError::Numeric { .. } => 4,
+            TrainError::Method(MethodError::Device(_)) => 5,
             TrainError::Rank { code, .. } => *code,
             TrainError::Ranks(_) => 6,
             TrainError::Diverged { .. } => 1,

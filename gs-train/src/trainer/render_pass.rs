@@ -1,14 +1,13 @@
 //! The image side of a training view: splats to a frame, the frame against the ground truth, the loss back to the splats.
 
+use super::{TrainError, Trainer};
+use crate::device::Device;
 use crate::loss::{GroundTruth, ImageLoss, LossValues};
 use crate::method::{MethodError, RenderView};
 use crate::non_finite::{NonFinite, zero_non_finite};
 use gs_core::{Camera, Image, SplatsGrad, SplatsRef};
 use gs_data::{DataError, ImageCache, ImageU8, View};
-use gs_raster::{
-    CameraGrad, Frame, FrameGrad, RasterOptions, ScreenStats, Workspace, render_backward_into,
-    render_backward_with_camera, render_into,
-};
+use gs_raster::{CameraGrad, Frame, FrameGrad, RasterOptions, Rasterizer, ScreenStats, Workspace};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -37,9 +36,9 @@ pub struct Phases {
     pub total: f64,
 }
 
-/// Buffers of rasteriser and loss, reused between steps.
+/// Rasteriser, and buffers of frames and loss, reused between steps.
 pub(super) struct RenderPass {
-    workspace: Workspace,
+    rasterizer: Box<dyn Rasterizer>,
     frame: Frame,
     d_frame: FrameGrad,
     stats: ScreenStats,
@@ -89,16 +88,33 @@ impl Phases {
 }
 
 impl RenderPass {
-    /// A pass with empty buffers.
+    /// A pass on the CPU with empty buffers.
     pub(super) fn new(loss: ImageLoss) -> Self {
-        let (workspace, frame, d_frame, stats) = Default::default();
-        Self { workspace, frame, d_frame, stats, loss }
+        let (frame, d_frame, stats) = Default::default();
+        Self { rasterizer: Box::new(Workspace::new()), frame, d_frame, stats, loss }
+    }
+}
+
+impl Trainer {
+    /// The same run, its frames rendered on this device from now on. The bits of a run are those of its device.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn on(mut self, device: &Device) -> Result<Self, TrainError> {
+        self.pass.rasterizer = device.open().map_err(MethodError::from)?;
+        self.device = device.clone();
+        Ok(self)
+    }
+
+    /// The device that frames are rendered on.
+    pub fn device(&self) -> &Device {
+        &self.device
     }
 }
 
 impl RenderView for ViewPass<'_> {
     fn render(&mut self, splats: SplatsRef<'_>, grad: &mut SplatsGrad) -> Result<&ScreenStats, MethodError> {
-        let RenderPass { workspace, frame, d_frame, stats, loss } = &mut *self.pass;
+        let RenderPass { rasterizer, frame, d_frame, stats, loss } = &mut *self.pass;
         let mut clock = Stopwatch::new();
         let ms = &mut self.result.ms;
         let (image, mask, depth) = match read(self.images, self.view, loss.needs_depth()) {
@@ -112,7 +128,7 @@ impl RenderView for ViewPass<'_> {
         let background = self.options.background;
         let truth = GroundTruth { image: &image, background, mask: mask.as_deref(), depth: depth.as_deref() };
         ms.data += clock.lap();
-        render_into(splats, self.camera, &self.options, workspace, frame);
+        rasterizer.render_into(splats, self.camera, &self.options, frame)?;
         ms.raster_forward += clock.lap();
         self.result.terms = loss.evaluate(frame, &truth, d_frame)?;
         if self.share != 1.0 {
@@ -122,10 +138,10 @@ impl RenderView for ViewPass<'_> {
         ms.loss += clock.lap();
         match &mut self.camera_grad {
             Some(sum) => {
-                *sum +=
-                    render_backward_with_camera(splats, self.camera, &self.options, workspace, d_frame, grad, stats);
+                let (camera, options) = (self.camera, &self.options);
+                *sum += rasterizer.render_backward_with_camera(splats, camera, options, d_frame, grad, stats)?;
             }
-            None => render_backward_into(splats, self.camera, &self.options, workspace, d_frame, grad, stats),
+            None => rasterizer.render_backward_into(splats, self.camera, &self.options, d_frame, grad, stats)?,
         }
         if self.share != 1.0 {
             stats.grad_means2d.as_flattened_mut().iter_mut().for_each(|g| *g /= self.share);

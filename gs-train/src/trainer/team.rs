@@ -3,7 +3,7 @@
 use super::{TrainError, Trainer};
 use crate::checkpoint::Checkpoint;
 use crate::error::RanksError;
-use crate::evaluate::{EvalError, EvalReport, evaluate_with_future};
+use crate::evaluate::{EvalError, EvalReport, Scoring, evaluate_with_future};
 use crate::ranks::{Ranks, Share, ShareError, all_gather, alone};
 use crate::registry::Registry;
 use gs_core::Params;
@@ -194,7 +194,10 @@ impl Trainer {
         let (data, background) = (&self.dataset, self.model.background());
         let split = if data.test.is_empty() { Split::Train } else { Split::Test };
         self.ranks.share().finish(
-            |share| evaluate_with_future(&self.model, data, split, background, images, share),
+            |share| {
+                let scoring = Scoring { background, images, share, device: &self.device };
+                evaluate_with_future(&self.model, data, split, &scoring)
+            },
             |e| (3, e.to_string()),
         )
     }

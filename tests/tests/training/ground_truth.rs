@@ -49,7 +49,7 @@ fn depth_error(trainer: &Trainer, data: &Dataset, truth: &dyn Fn(usize) -> Image
     let (mut sum, mut count) = (0.0, 0);
     for (k, view) in data.test.iter().enumerate() {
         let splats = trainer.model().splats(&Timestamp::new(view.time), &view.camera).expect("splats");
-        let frame = renderer.render(&splats, &view.camera);
+        let frame = renderer.render(&splats, &view.camera).expect("a frame");
         let (pixels, truth) = (frame.depth.iter().zip(&frame.alpha), truth(k));
         for ((depth, alpha), z) in pixels.zip(&truth.data).filter(|((_, alpha), z)| **alpha > 0.5 && **z > 0.0) {
             sum += f64::from((depth / alpha / z - 1.0).abs());

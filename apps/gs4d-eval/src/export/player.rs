@@ -3,12 +3,11 @@
 use super::{Baker, ExportError};
 use crate::segment::{Options, color, segment};
 use gs_core::{Camera, Splats, cast};
-use gs_data::{Dataset, ImageCache, Split};
-use gs_train::evaluate::{EvalError, EvalReport, evaluate_splats};
+use gs_data::{Dataset, Split};
+use gs_train::evaluate::{EvalError, EvalReport, Scoring, evaluate_splats};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::palette::color_scale;
-use gs_train::ranks::Share;
 use gs_train::timestamp::Timestamp;
 use gs4d_player::{Clip, Frames, Layer, Tolerance};
 
@@ -94,12 +93,10 @@ pub fn evaluate_clip(
     clip: &Clip,
     method: &Model,
     (dataset, split): (&Dataset, Split),
-    background: [f32; 3],
-    images: &ImageCache,
-    share: &Share,
+    scoring: &Scoring<'_>,
 ) -> Result<EvalReport, EvalError> {
     let splats = |at: &Timestamp, _: &Camera| -> Result<Splats, MethodError> { Ok(clip.splats(at.t.normalised)) };
-    evaluate_splats(method, &splats, dataset, split, background, images, share)
+    evaluate_splats(method, &splats, dataset, split, scoring)
 }
 
 #[cfg(test)]

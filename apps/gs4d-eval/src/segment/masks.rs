@@ -8,6 +8,7 @@
 use gs_core::{Camera, Color, Splats, cast};
 
 use gs_raster::RasterOptions;
+use gs_train::method::MethodError;
 use gs_train::renderer::Renderer;
 
 /// The part at each pixel: 0 is the background, `k + 1` the part `k`.
@@ -35,7 +36,10 @@ impl Masker {
     }
 
     /// Renders the mask of `splats` with one label `< k` each.
-    pub fn draw(&mut self, splats: &Splats, labels: &[u32], k: usize, camera: &Camera) -> Mask {
+    ///
+    /// # Errors
+    /// As [`Renderer::render`].
+    pub fn draw(&mut self, splats: &Splats, labels: &[u32], k: usize, camera: &Camera) -> Result<Mask, MethodError> {
         debug_assert_eq!(splats.len(), labels.len());
         let (width, height) = (camera.width as usize, camera.height as usize);
         let mut colored = splats.clone();
@@ -43,7 +47,7 @@ impl Masker {
         for first in (0..cast::to_u32(k.max(1))).step_by(3) {
             let one_hot = |l: &u32| std::array::from_fn(|c| f32::from(*l == first + cast::to_u32(c)));
             colored.color = Color::Rgb(labels.iter().map(one_hot).collect());
-            let frame = self.renderer.render(&colored, camera);
+            let frame = self.renderer.render(&colored, camera)?;
             if first == 0 {
                 mask.confidence.iter_mut().zip(&frame.alpha).for_each(|(c, a)| *c = 1.0 - a);
             }
@@ -56,6 +60,6 @@ impl Masker {
                 }
             }
         }
-        mask
+        Ok(mask)
     }
 }

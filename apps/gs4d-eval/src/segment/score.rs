@@ -100,7 +100,7 @@ pub fn study<'a, E: From<SegmentError>>(
     let mut render_mask = |view: &'a View| -> Result<_, SegmentError> {
         let camera = images.camera(view);
         let splats = method.all_splats(&Timestamp::new(view.time), &camera)?;
-        let mask = masker.draw(&splats, &labels.of, labels.k, &camera);
+        let mask = masker.draw(&splats, &labels.of, labels.k, &camera)?;
         let truth = truth.map(|t| t.of(view, split, &camera)).transpose()?.flatten();
         Ok((mask, truth, splats, camera))
     };
@@ -118,7 +118,7 @@ pub fn study<'a, E: From<SegmentError>>(
         if let Some(truth) = &truth {
             all.add(&mask.ids, truth, &mask.confidence).map_err(SegmentError::from)?;
         }
-        let picture = clamped(renderer.render(&splats, &camera));
+        let picture = clamped(renderer.render(&splats, &camera).map_err(SegmentError::from)?);
         each(ViewMask { view, mask, truth, shown_as: &shown_as, picture })?;
     }
     Ok(all.scores().map(Scores::from))

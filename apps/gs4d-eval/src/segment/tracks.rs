@@ -52,7 +52,7 @@ pub fn tracks(
         let mut later = first.clone();
         later.means = method.all_splats(&Timestamp::normalised(*time), camera)?.means;
         for (lattice, camera) in lattices.iter_mut().zip(cameras) {
-            let motion = model_motion(&mut renderer, camera, &later, &first.means, Anchor::Earlier);
+            let motion = model_motion(&mut renderer, camera, &later, &first.means, Anchor::Earlier)?;
             lattice.add(&motion);
         }
     }

@@ -31,6 +31,7 @@ use gs_metrics::MetricError;
 use gs_metrics::flow::Flow;
 use serde::Serialize;
 
+use gs_train::capabilities::StageView;
 use gs_train::evaluate::clamped;
 use gs_train::method::MethodError;
 use gs_train::model::Model;
@@ -161,12 +162,12 @@ fn measure(
     mask: impl FnOnce(&Flow) -> Image,
 ) -> Result<Still, GlmdError> {
     let stages = method.stages(&Timestamp::normalised(time), camera)?;
-    let renders: Vec<(&'static str, Image)> =
-        stages.iter().map(|s| (s.name, clamped(renderer.render(&s.splats, camera)))).collect();
+    let mut render = |s: &StageView| Ok((s.name, clamped(renderer.render(&s.splats, camera)?)));
+    let renders: Vec<(&'static str, Image)> = stages.iter().map(&mut render).collect::<Result<_, MethodError>>()?;
     let motions: Vec<Motion> = stages
         .iter()
         .filter_map(|s| Some(model_motion(renderer, camera, &s.splats, s.before.as_ref()?, options.anchor)))
-        .collect();
+        .collect::<Result<_, _>>()?;
     let Some(first) = motions.first().filter(|_| motions.len() + 1 == stages.len()) else {
         return Err(GlmdError::OneStage(method.name().to_owned()));
     };

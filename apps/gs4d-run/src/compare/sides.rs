@@ -6,6 +6,7 @@ use crate::score_table::size_text;
 use crate::summary::color_name;
 use crate::{OpenRun, RunError, folder};
 use gs_data::Dataset;
+use gs_train::device::CPU;
 use gs_train::evaluate::{EvalError, split_name};
 use gs_train::method::MethodError;
 use gs_train::registry::Registry;
@@ -89,8 +90,10 @@ impl Side {
         let machine = self.machine.as_ref()?;
         let text = |key: &str| machine[key].as_str().unwrap_or("–").to_owned();
         let commit = machine["commit"].as_str().map_or(String::new(), |c| format!(", commit {c}"));
+        let device = machine["device"].as_str().filter(|d| *d != CPU);
+        let device = device.map_or(String::new(), |d| format!(", rendered on {d}"));
         Some(format!(
-            "{}, {} threads, {}, gs4d {}{commit}",
+            "{}, {} threads, {}{device}, gs4d {}{commit}",
             text("cpu"),
             machine["threads"],
             text("simd"),

@@ -3,6 +3,8 @@ use crate::settings::{Request, resolve};
 use gs_core::testkit::faults::{Fault, Faults, with_faults};
 use gs_synth::{SynthOptions, write};
 use gs_train::checkpoint::{CheckpointError, load_newest, steps_in};
+use gs_train::method::MethodError;
+use gs_train::testkit::fake_device;
 use std::sync::Mutex;
 use tempfile::TempDir;
 
@@ -110,4 +112,36 @@ fn a_run_goes_on_up_to_its_own_time_budget() {
         training.score().unwrap();
     }
     assert!(matches!(Stage::of(&root, &short).unwrap(), Stage::Finished(scored) if scored.step == 1));
+}
+
+/// The devices that the provenance names: of the first session and of those that went on.
+fn devices(training: &Training) -> Vec<String> {
+    let provenance: Value = serde_json::from_str(&training.folder.read(folder::PROVENANCE).unwrap()).unwrap();
+    let resumed = provenance["resumed"].as_array().into_iter().flatten();
+    let machines = [&provenance].into_iter().chain(resumed).map(|session| &session["machine"]);
+    machines.map(|machine| machine["device"].as_str().unwrap().to_owned()).collect()
+}
+
+#[test]
+fn a_device_that_is_lost_leaves_the_last_checkpoint_and_the_provenance_names_it() {
+    let dir = prepared();
+    let (mut undisturbed, _) = begin(&dir, 1);
+    train(&mut undisturbed, None).0.unwrap();
+    let expected = undisturbed.trainer.state().tensors;
+    drop(undisturbed);
+    // Forward and backward of three steps, then the fourth fails.
+    let mut training = begin(&dir, 1).0.on(&fake_device(7).0).unwrap();
+    assert_eq!((devices(&training), training.warnings()), (vec!["fake".to_owned()], &[][..]));
+    let error = train(&mut training, None).0.unwrap_err();
+    assert!(matches!(error, RunError::Train(TrainError::Method(MethodError::Device(_)))), "{error}");
+    assert_eq!(steps_in(&training.folder.checkpoints()).unwrap(), [2]);
+    let root = training.folder.root().to_owned();
+    drop(training);
+    let registry = gs_methods::registry();
+    let resumed = Training::resume(registry, &root, &ResumeRequest::default()).unwrap();
+    let mut resumed = resumed.on(&Device::default()).unwrap();
+    assert_eq!(devices(&resumed), ["fake", "cpu"]);
+    assert!(resumed.warnings()[0].contains("rendered on fake and goes on on cpu"), "{:?}", resumed.warnings());
+    assert_eq!(train(&mut resumed, None).0.unwrap(), Outcome::Finished);
+    assert!(resumed.trainer.state().tensors == expected, "the bits of a run never interrupted");
 }

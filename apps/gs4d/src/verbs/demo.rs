@@ -2,6 +2,7 @@
 
 use super::train::{drive, time_text};
 use crate::answer::{Answer, number};
+use crate::device::DeviceFlag;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
 use crate::interrupt;
@@ -61,6 +62,8 @@ pub struct Demo {
     /// Overwrite an older demo in that folder.
     #[arg(short, long)]
     force: bool,
+    #[command(flatten)]
+    device: DeviceFlag,
 }
 
 impl Demo {
@@ -80,6 +83,7 @@ impl Demo {
 
     /// Generates the data and starts a run.
     fn begin(&self, global: &Global) -> Result<Training, Failure> {
+        let device = self.device.open(global)?;
         let (root, data_folder) = (self.out.join("run"), self.out.join("data"));
         if root.exists() && !self.force {
             return Err(Failure::new(Class::Io, "io.exists", "an older demo is in that folder")
@@ -100,7 +104,7 @@ impl Demo {
             sets: SETS.iter().chain(field_sets).map(|s| (*s).to_owned()).collect(),
             ..Request::default()
         };
-        Ok(Training::begin(&root, self.force, resolve(gs_methods::registry(), &request)?)?)
+        Ok(Training::begin(&root, self.force, resolve(gs_methods::registry(), &request)?)?.on(&device)?)
     }
 
     /// Writes frames over time and the splats at time 0.5; returns the paths of the results.
@@ -110,7 +114,7 @@ impl Demo {
         let view = dataset.test.first().or(dataset.train.first());
         let Some(view) = view else { return Ok(Vec::new()) };
         let background = method.background();
-        let mut renderer = Renderer::new(method.raster_options(background));
+        let mut renderer = Renderer::on(training.trainer().device(), method.raster_options(background))?;
         let frames = self.out.join("frames");
         create_folder(&frames)?;
         for k in 0..FRAMES {

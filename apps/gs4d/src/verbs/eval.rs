@@ -2,6 +2,7 @@
 
 use super::train::all_scores_text;
 use crate::answer::Answer;
+use crate::device::DeviceFlag;
 use crate::failure::{Class, Failure};
 use crate::global::{Global, to_stderr};
 use crate::opening::RunData;
@@ -56,6 +57,8 @@ pub struct Eval {
     /// Rounding of images to 8 bit before they are scored [default: none].
     #[arg(long, value_enum)]
     quantise: Option<QuantiseName>,
+    #[command(flatten)]
+    device: DeviceFlag,
     #[command(flatten)]
     place: RunData,
 }
@@ -157,15 +160,17 @@ impl Eval {
 
     fn of_run(&self, root: &Path, global: &Global) -> Result<Answer, Failure> {
         let tof = self.tof()?;
-        let run = self.place.open(root, global)?;
+        let device = self.device.open(global)?;
+        let mut run = self.place.open(root, global)?;
+        run.device = device;
         let dataset = run.open_data()?;
         let background = self.background.unwrap_or_else(|| run.background());
         let split = self.split.into();
         let views = dataset.views(split).len();
         let waiting = Waiting::new(format!("scoring {views} views"), global.quiet);
         let motion = tof.filter(|_| global.share.leads()).map(|options| {
-            let method = &run.loaded.model;
-            temporal::tof(method, &dataset, split, background, &run.images(), options).map(|s| (s, options))
+            let (method, images) = (&run.loaded.model, run.images());
+            temporal::tof(method, &dataset, split, &run.scoring(background, &images), options).map(|s| (s, options))
         });
         let motion = motion.transpose()?;
         // The file in the run folder holds the extrapolation scores as well.

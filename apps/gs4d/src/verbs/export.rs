@@ -14,7 +14,7 @@ use glam::DVec3;
 use gs_core::io::{RawSplats, SplatFormat, load_splats, save_splats, upright, write_file};
 use gs_core::rot::Mat3;
 use gs_data::{Dataset, ImageCache};
-use gs_train::evaluate::{EvalReport, evaluate_shared};
+use gs_train::evaluate::{EvalReport, evaluate_with};
 use gs_train::timestamp::Timestamp;
 use gs4d_eval::export::{AsExported, Baker, ExportError, cut, mean_up};
 use gs4d_player::Tolerance;
@@ -312,9 +312,10 @@ impl Export {
     fn measure(&self, run: &OpenRun, data: &Dataset, baker: Baker<'_>, plan: &Plan) -> Result<Loss, Failure> {
         let images: ImageCache = run.images();
         let (split, background) = (self.split.into(), run.background());
-        let before = evaluate_shared(&run.loaded.model, data, split, background, &images, &run.share)?;
+        let scoring = run.scoring(background, &images);
+        let before = evaluate_with(&run.loaded.model, data, split, &scoring)?;
         let files = AsExported::new(baker, plan.format).with_files(plan.files.clone());
-        let after = files.evaluate(data, split, background, &images, &run.share)?;
+        let after = files.evaluate(data, split, &scoring)?;
         let read = after.views.iter().filter(|v| files.file_at(v.time).is_some()).count();
         Ok(Loss::of(&before, &after, read))
     }

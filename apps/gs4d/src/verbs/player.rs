@@ -10,7 +10,7 @@ use crate::progress::Progress;
 use glam::DVec3;
 use gs_core::io::{read_text, write_file};
 use gs_data::{Dataset, View};
-use gs_train::evaluate::evaluate_shared;
+use gs_train::evaluate::evaluate_with;
 use gs4d_eval::export::{Baker, ExportError, evaluate_clip, frame_times, mean_up};
 use gs4d_player::{Clip, Page, PlayerError, Start, Tolerance};
 use gs4d_run::OpenRun;
@@ -63,8 +63,9 @@ impl Player {
     fn measure(&self, run: &OpenRun, data: &Dataset, clip: &Clip) -> Result<Loss, Failure> {
         let (images, model, background) = (run.images(), &run.loaded.model, run.background());
         let split = self.split.into();
-        let before = evaluate_shared(model, data, split, background, &images, &run.share)?;
-        let after = evaluate_clip(clip, model, (data, split), background, &images, &run.share)?;
+        let scoring = run.scoring(background, &images);
+        let before = evaluate_with(model, data, split, &scoring)?;
+        let after = evaluate_clip(clip, model, (data, split), &scoring)?;
         Ok(Loss::of(&before, &after, after.views.len()))
     }
 

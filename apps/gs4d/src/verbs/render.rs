@@ -1,6 +1,7 @@
 //! `gs4d render`: renders a splat file or a run from given cameras or on an orbit, as images or video.
 
 use crate::answer::Answer;
+use crate::device::DeviceFlag;
 use crate::encoder::Encoder;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
@@ -79,6 +80,8 @@ pub struct Render {
     /// Overwrite existing images.
     #[arg(short, long)]
     force: bool,
+    #[command(flatten)]
+    device: DeviceFlag,
     #[command(flatten)]
     place: RunData,
 }
@@ -174,11 +177,11 @@ impl Scene {
 
     fn render<'a>(&self, renderer: &'a mut Renderer, camera: &Camera, time: f32) -> Result<&'a Frame, MethodError> {
         Ok(match self {
-            Scene::File(splats) => renderer.render(splats.view(), camera),
+            Scene::File(splats) => renderer.render(splats.view(), camera)?,
             Scene::Run(run) => {
                 let splats = run.loaded.model.splats(&Timestamp::normalised(time), camera)?;
                 splats.check().map_err(|e| MethodError::Render(format!("the scene at time {time}: {e}")))?;
-                renderer.render(&splats, camera)
+                renderer.render(&splats, camera)?
             }
         })
     }
@@ -195,6 +198,7 @@ impl Render {
         if self.format == Format::Mp4 {
             Encoder::find()?;
         }
+        let device = self.device.open(global)?;
         let mut scene = self.open(global)?;
         let cameras = self.sequence(self.cameras(&scene)?)?.into_iter().map(|c| self.framed(c)).collect::<Vec<_>>();
         if let Some(pixels) = self.static_within {
@@ -204,7 +208,7 @@ impl Render {
         cameras
             .iter()
             .try_for_each(|c| memory.admit_picture([c.camera.width, c.camera.height], scene.splat_count()))?;
-        let mut renderer = Renderer::new(self.options(&scene)?);
+        let mut renderer = Renderer::on(&device, self.options(&scene)?)?;
         let share = &global.share;
         let mut progress = Progress::new(share.run(cameras.len()).len() as u64, "images", global.quiet);
         let mut done = 0;

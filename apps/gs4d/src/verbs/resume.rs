@@ -3,6 +3,7 @@
 use super::train::{ImageCacheSize, carry_on};
 use super::view::Watch;
 use crate::answer::Answer;
+use crate::device::DeviceFlag;
 use crate::failure::Failure;
 use crate::global::Global;
 use crate::opening::RunData;
@@ -34,12 +35,14 @@ pub struct Resume {
     #[arg(long)]
     accept_changed_data: bool,
     #[command(flatten)]
+    device: DeviceFlag,
+    #[command(flatten)]
     watch: Watch,
 }
 
 impl Resume {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
-        let stop = interrupt::flag()?;
+        let (stop, device) = (interrupt::flag()?, self.device.open_to_train(global)?);
         let request = ResumeRequest {
             steps: self.steps,
             budget: self.time_budget.map(|d| d.as_secs_f64()),
@@ -48,7 +51,7 @@ impl Resume {
             accept_changed_data: self.accept_changed_data,
         };
         let training = Training::resume(gs_methods::registry(), &self.run, &request)?;
-        let mut training = training.with_ranks(global.ranks.clone())?;
+        let mut training = training.on(&device)?.with_ranks(global.ranks.clone())?;
         global.say(format!("going on from step {}", training.trainer().steps_done()));
         carry_on(&mut training, &self.watch, &stop, global)
     }

@@ -2,6 +2,7 @@
 
 use super::view::{Watch, Watched};
 use crate::answer::{Answer, number};
+use crate::device::DeviceFlag;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
 use crate::opening::say_skipped;
@@ -60,6 +61,8 @@ pub struct Train {
     #[arg(long = "continue", conflicts_with = "force")]
     go_on: bool,
     #[command(flatten)]
+    device: DeviceFlag,
+    #[command(flatten)]
     watch: Watch,
 }
 
@@ -96,12 +99,12 @@ impl Train {
             let json = result_json(&scores, step, &self.out, u64::from(step) >= resolved.steps());
             return Ok(Answer::new(all_scores_text(&scores, step), json));
         }
-        let stop = interrupt::flag()?;
+        let (stop, device) = (interrupt::flag()?, self.device.open_to_train(global)?);
         let training = match self.go_on {
             true => Training::go_on(&self.out, resolved)?,
             false => Training::begin(&self.out, self.force, resolved)?,
         };
-        let mut training = training.with_ranks(global.ranks.clone())?;
+        let mut training = training.on(&device)?.with_ranks(global.ranks.clone())?;
         carry_on(&mut training, &self.watch, &stop, global)
     }
 }
@@ -195,6 +198,10 @@ fn describe(training: &Training, global: &Global) {
     points_left_out(training).into_iter().for_each(|note| global.say(note));
     for warning in training.trainer().model().capabilities().inspect.map_or_else(Vec::new, |i| i.warnings()) {
         global.say(format!("warning: {warning}"));
+    }
+    let device = training.trainer().device();
+    if !device.is_cpu() {
+        global.say(format!("rendering on {}", device.name()));
     }
     global.detail(format!("threads: {}", rayon::current_num_threads()));
     if global.ranks.size() > 1 {

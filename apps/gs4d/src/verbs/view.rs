@@ -2,10 +2,12 @@
 
 use super::render::load_splat_file;
 use crate::answer::Answer;
+use crate::device::DeviceFlag;
 use crate::failure::{Class, Failure};
 use crate::global::{Global, to_stderr};
 use crate::opening::RunData;
 use crate::{interrupt, parse};
+use gs_train::device::Device;
 use gs4d_run::Training;
 use gs4d_view::{Feed, Options, Packing, REQUEST_TIME, Server, Show, Stage, ViewError, start};
 use serde_json::json;
@@ -33,14 +35,18 @@ pub struct View {
     #[arg(long, value_name = "SECONDS")]
     seconds: Option<u64>,
     #[command(flatten)]
+    device: DeviceFlag,
+    #[command(flatten)]
     place: RunData,
 }
 
 impl View {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+        let device = self.device.open(global)?;
         let shows = self.scenes.iter().map(|p| self.show(p, global)).collect::<Result<Vec<_>, _>>()?;
         let packing = if self.remote { Packing::Jpeg } else { Packing::Png };
-        let options = Options { host: self.host, port: self.port, packing, share: None, request_time: REQUEST_TIME };
+        let (host, port) = (self.host, self.port);
+        let options = Options { host, port, packing, share: None, request_time: REQUEST_TIME, device };
         let server = start(Stage::new(shows), &options)?;
         if !self.host.is_loopback() {
             global.say("warning: other machines can reach this viewer; whoever has the key below sees the scene");
@@ -110,6 +116,7 @@ impl Watch {
                 packing: Packing::Png,
                 share: Some(self.view_share),
                 request_time: REQUEST_TIME,
+                device: Device::default(),
             };
             let server = start(Stage::new(vec![show]), &options).map_err(|e| e.to_string())?;
             let feed = server
@@ -135,6 +142,7 @@ impl From<ViewError> for Failure {
             ViewError::Port { .. } => {
                 Self::new(Class::Io, "view.port", text).remedy("choose another with --port, or end the other viewers")
             }
+            ViewError::Device(e) => e.into(),
             ViewError::Threads(_) => Self::new(Class::Resource, "view.threads", text),
             ViewError::Nothing => Self::usage(text),
         }

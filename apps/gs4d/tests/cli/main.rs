@@ -6,6 +6,7 @@ mod cluster;
 mod compact;
 mod compare;
 mod contest;
+mod device;
 mod doctor;
 mod export;
 mod faults;

@@ -26,7 +26,7 @@ fn a_run_folder_is_complete() {
     assert!(config.contains("# preset tiny") && config.contains("# flag --steps 40"), "{config}");
     let provenance: Value = serde_json::from_str(&fs::read_to_string(root.join("provenance.json")).unwrap()).unwrap();
     assert_eq!(provenance["data"]["views"], serde_json::json!([8, 2, 2]));
-    for key in ["version", "cpu", "threads", "simd"] {
+    for key in ["version", "cpu", "threads", "simd", "device"] {
         assert!(!provenance["machine"][key].is_null(), "{key}");
     }
     let log = fs::read_to_string(root.join("log.jsonl")).unwrap();
