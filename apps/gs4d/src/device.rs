@@ -1,7 +1,5 @@
 //! `--device`: what renders frames.
 
-#![allow(unexpected_cfgs, reason = "the feature `gpu` comes with the crate that renders on one")]
-
 use crate::failure::{Class, Failure};
 use crate::global::Global;
 use gs_raster::DeviceError;
@@ -84,5 +82,5 @@ fn gpu_if_any() -> Result<Device, String> {
 
 #[cfg(feature = "gpu")]
 fn of(gpu: gs_gpu::Gpu) -> Device {
-    Device::new(gpu.name(), move || Ok(Box::new(gs_gpu::Renderer::new(&gpu))))
+    Device::new(gpu.description(), move || Ok(Box::new(gs_gpu::Renderer::new(&gpu))))
 }

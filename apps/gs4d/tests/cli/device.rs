@@ -1,13 +1,25 @@
-//! `--device` of a program without GPU support.
+//! `--device`, with and without GPU support.
 
-use crate::support::{CAMERA, Call, STEPS, command, data, good, gs4d, ply, run, text};
+use crate::support::{STEPS, data, gs4d, text};
 use std::fs;
-use std::path::Path;
+#[cfg(feature = "gpu")]
+use {
+    crate::runs::state,
+    crate::support::good,
+    gs_core::io::{Limits, images::load_image},
+};
+#[cfg(not(feature = "gpu"))]
+use {
+    crate::support::{CAMERA, Call, command, good, ply, run},
+    std::path::Path,
+};
 
+#[cfg(not(feature = "gpu"))]
 const REFUSED: [&str; 3] =
     ["error[device]", "built without GPU support", "cargo install --path apps/gs4d --features gpu"];
 
 /// A call of every verb that renders on a device, which writes to a folder.
+#[cfg(not(feature = "gpu"))]
 fn calls(out: &Path) -> Vec<Vec<String>> {
     let (camera, out) = (out.join("camera.json"), |name: &str| text(&out.join(name)).to_owned());
     fs::write(&camera, CAMERA).unwrap();
@@ -22,10 +34,12 @@ fn calls(out: &Path) -> Vec<Vec<String>> {
     ]
 }
 
+#[cfg(not(feature = "gpu"))]
 fn on(device: &str, call: &[String]) -> Call {
     Call::of(&command(&[]).args(call).args(["--device", device]).output().unwrap())
 }
 
+#[cfg(not(feature = "gpu"))]
 #[test]
 fn a_gpu_is_refused_before_anything_is_written() {
     let dir = tempfile::tempdir().unwrap();
@@ -36,6 +50,7 @@ fn a_gpu_is_refused_before_anything_is_written() {
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1, "the camera alone");
 }
 
+#[cfg(not(feature = "gpu"))]
 #[test]
 fn auto_is_the_cpu_and_says_so() {
     let dir = tempfile::tempdir().unwrap();
@@ -72,4 +87,41 @@ fn a_run_without_a_device_is_of_the_cpu() {
     assert!(resumed.code == 0 && !resumed.err.contains("warning"), "{}", resumed.err);
     let provenance: serde_json::Value = serde_json::from_str(&fs::read_to_string(&file).unwrap()).unwrap();
     assert_eq!(provenance["resumed"][0]["machine"]["device"], "cpu");
+}
+
+/// Trained and rendered twice on whatever adapter there is; the CPU renders the same scene within a level or two.
+#[cfg(feature = "gpu")]
+#[test]
+fn a_gpu_trains_the_same_bits_twice() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name);
+    let steps = ["--preset", "tiny", "--steps", "200", "--seed", "3", "--device", "gpu"];
+    for name in ["a", "b"] {
+        let out = path(name);
+        let train = ["train", text(data()), "-m", "fourdgs", "-o", text(&out)];
+        let call = gs4d(&[&train[..], &steps[..]].concat());
+        if call.err.contains("no GPU was found") && std::env::var_os("GS4D_REQUIRE_GPU").is_none() {
+            return println!("SKIPPED a_gpu_trains_the_same_bits_twice: {}", call.err);
+        }
+        assert_eq!(call.code, 0, "{}", call.err);
+    }
+    assert!(state(&path("a")) == state(&path("b")), "200 steps twice differ");
+    let provenance = fs::read_to_string(path("a").join("provenance.json")).unwrap();
+    let provenance: serde_json::Value = serde_json::from_str(&provenance).unwrap();
+    assert!(provenance["machine"]["device"].as_str().is_some_and(|d| d.contains('(')), "{provenance}");
+    let cameras = data().join("transforms_test.json");
+    for device in ["gpu", "cpu"] {
+        let out = path(device);
+        good(&["render", text(&path("a")), "--camera", text(&cameras), "-o", text(&out), "--device", device]);
+    }
+    let mut compared = 0;
+    for file in fs::read_dir(path("gpu")).unwrap().map(|e| e.unwrap().path()) {
+        if file.extension().is_some_and(|e| e == "png") {
+            let other = path("cpu").join(file.file_name().unwrap());
+            let [a, b] = [&file, &other].map(|p| load_image(p, &Limits::default()).unwrap());
+            assert!(a.data.iter().zip(&b.data).all(|(a, b)| (a - b).abs() < 2.5 / 255.0), "{}", file.display());
+            compared += 1;
+        }
+    }
+    assert!(compared > 0, "nothing was rendered");
 }
