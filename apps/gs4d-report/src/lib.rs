@@ -32,7 +32,7 @@ pub mod storage;
 pub mod views;
 
 pub use chart::{Curve, Scale};
-pub use embed::{base64, png};
+pub use embed::png;
 pub use gs_train::report::ReportRow;
 pub use heat::HeatMap;
 pub use overlay::{Legend, OverlayFigure};

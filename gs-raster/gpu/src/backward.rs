@@ -7,7 +7,6 @@ use crate::memory::{Array, Readback};
 use crate::renderer::{Renderer, copy};
 use crate::sort::groups;
 use crate::view::View;
-use glam::Vec3;
 use gs_core::{Camera, SplatsGrad, SplatsRef};
 use gs_raster::{CameraGrad, FrameGrad, RasterOptions, ScreenStats};
 
@@ -17,6 +16,8 @@ const RECORD: u64 = 48;
 const ROW: u64 = 64;
 /// Splats of one workgroup.
 const GROUP: u64 = 256;
+/// Splats of one workgroup where sixteen threads add the records of each.
+const GATHERED: u64 = 16;
 /// Splats of one workgroup where each needs many registers.
 const SMALL_GROUP: u64 = 64;
 
@@ -29,7 +30,6 @@ pub(crate) struct Backward {
     d_colors: Array,
     camera: Array,
     readback: Readback,
-    cotangents: Vec<[f32; 5]>,
 }
 
 impl Backward {
@@ -42,7 +42,6 @@ impl Backward {
             d_colors: Array::new(gpu, "gradients of colours"),
             camera: Array::new(gpu, "gradient of the camera"),
             readback: Readback::new(),
-            cotangents: Vec::new(),
         }
     }
 }
@@ -127,14 +126,12 @@ impl Renderer {
 
     fn prepare(&mut self, view: &View, splats: SplatsRef<'_>, d: &FrameGrad) -> Result<(), GpuError> {
         let (gpu, b) = (&self.gpu, &mut self.backward);
-        let [width, height] = view.size().map(|v| v as usize);
-        let pixel = |values: &[f32], i: usize| values.get(i).copied().unwrap_or(0.0);
-        b.cotangents.clear();
-        b.cotangents.extend((0..width * height).map(|i| {
-            let rgb = [0, 1, 2].map(|c| pixel(&d.rgb, 3 * i + c));
-            [rgb[0], rgb[1], rgb[2], pixel(&d.alpha, i), pixel(&d.depth, i)]
-        }));
-        b.d_frame.upload(gpu, &b.cotangents)?;
+        let [width, height] = view.size().map(u64::from);
+        let pixels = 4 * width * height;
+        b.d_frame.resize(gpu, 5 * pixels)?;
+        b.d_frame.write_or_zero(gpu, 0, 3 * pixels, &d.rgb);
+        b.d_frame.write_or_zero(gpu, 3 * pixels, pixels, &d.alpha);
+        b.d_frame.write_or_zero(gpu, 4 * pixels, pixels, &d.depth);
         let n = u64::from(view.splats());
         b.records.resize(gpu, RECORD * u64::from(view.entries()))?;
         b.sums.resize(gpu, RECORD * n)?;
@@ -159,12 +156,17 @@ impl Renderer {
             &w.transmittance,
             &w.last,
             &b.d_frame,
-            &b.records,
+            if gpu.float_atomics() { &b.sums } else { &b.records },
         ];
+        if gpu.float_atomics() {
+            encoder.clear_buffer(b.sums.buffer(), 0, None);
+        }
         run(&mut self.timer.pass(encoder, "blend backward"), &kernels.blend_backward, &tiles, view.tiles());
         let n = u64::from(view.splats());
         let pass = &mut self.timer.pass(encoder, "splats backward");
-        run(pass, &kernels.gather, &[&w.view, &w.spans, &b.records, &b.sums], groups(n, GROUP));
+        if !gpu.float_atomics() {
+            run(pass, &kernels.gather, &[&w.view, &w.spans, &b.records, &b.sums], groups(n, GATHERED));
+        }
         let geometry = [&w.view, &c.means, &c.quats, &c.scales, &c.opacities, &w.spans, &b.sums, &b.grads, &b.camera];
         run(pass, &kernels.geometry_backward, &geometry[..8], groups(n, SMALL_GROUP));
         let color = [&w.view, &c.means, &c.colors, &w.spans, &b.sums, &b.d_colors, &b.grads];
@@ -175,32 +177,39 @@ impl Renderer {
     }
 }
 
-/// Rows of gradients, sixteen numbers each, into their columns.
+/// Columns of gradients, one after another, into those of the host; the order is that of `geometry_backward.wgsl`.
 fn unpack(splats: SplatsRef<'_>, bytes: &[u8], grad: &mut SplatsGrad, stats: &mut ScreenStats) {
     let n = splats.len();
     stats.grad_means2d.resize(n, [0.0; 2]);
     stats.radii.resize(n, 0.0);
+    let mut rest = bytes;
+    take(&mut rest, &mut grad.means);
+    take(&mut rest, &mut grad.quats);
+    take(&mut rest, &mut grad.scales);
+    take(&mut rest, &mut grad.opacities);
+    take(&mut rest, &mut stats.grad_means2d);
+    take(&mut rest, &mut stats.radii);
     let width = splats.kernel.width();
-    for (i, row) in rows(bytes).take(n).enumerate() {
-        grad.means[i] = Vec3::new(row[0], row[1], row[2]);
-        grad.opacities[i] = row[3];
-        grad.quats[i] = [row[4], row[5], row[6], row[7]];
-        grad.scales[i] = Vec3::new(row[8], row[9], row[10]);
-        stats.radii[i] = row[11];
-        stats.grad_means2d[i] = [row[12], row[13]];
-        let sums = [f64::from(row[14]), f64::from(row[15])];
-        splats.kernel.vjp(i, sums, &mut grad.kernel[i * width..][..width]);
+    if width > 0 {
+        for (i, (sums, row)) in rest.as_chunks::<8>().0.iter().zip(grad.kernel.chunks_mut(width)).enumerate() {
+            let sums: [f32; 2] = bytemuck::pod_read_unaligned(sums);
+            splats.kernel.vjp(i, sums.map(f64::from), row);
+        }
     }
 }
 
-fn rows(bytes: &[u8]) -> impl Iterator<Item = [f32; 16]> {
-    bytes.as_chunks::<64>().0.iter().map(|row| bytemuck::pod_read_unaligned(row))
+/// Fills a column from the front of `rest`.
+fn take<T: bytemuck::Pod>(rest: &mut &[u8], column: &mut [T]) {
+    let (own, tail) = rest.split_at(size_of_val(column));
+    bytemuck::cast_slice_mut(column).copy_from_slice(own);
+    *rest = tail;
 }
 
 /// The sums of all workgroups, added in order.
 fn sum_camera(bytes: &[u8]) -> CameraGrad {
     let mut sum = [0.0f64; 16];
-    for row in rows(bytes) {
+    for row in bytes.as_chunks::<64>().0 {
+        let row: [f32; 16] = bytemuck::pod_read_unaligned(row);
         sum.iter_mut().zip(row).for_each(|(to, from)| *to += f64::from(from));
     }
     let [fx, fy, cx, cy] = [sum[12], sum[13], sum[14], sum[15]];

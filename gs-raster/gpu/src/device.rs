@@ -23,6 +23,7 @@ struct Inner {
     info: wgpu::AdapterInfo,
     faults: Arc<Faults>,
     native_exp2: OnceLock<bool>,
+    float_atomics: bool,
     /// Without and with kernel profiles.
     kernels: [OnceLock<Kernels>; 2],
 }
@@ -57,6 +58,9 @@ pub struct GpuOptions {
     pub software: bool,
     /// Ask for no more than the limits that every browser guarantees (buffers of 128 MiB).
     pub browser_limits: bool,
+    /// Add gradients by float atomics, where the adapter has them: two runs differ then. For measuring what the same bits
+    /// cost.
+    pub float_atomics: bool,
 }
 
 impl Gpu {
@@ -87,9 +91,11 @@ impl Gpu {
             limits.max_buffer_size = own.max_buffer_size;
             limits.max_storage_buffer_binding_size = own.max_storage_buffer_binding_size;
         }
+        let mut wanted = wgpu::Features::TIMESTAMP_QUERY;
+        wanted.set(wgpu::Features::SHADER_FLOAT32_ATOMIC, options.float_atomics);
         let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("gs-gpu"),
-            required_features: adapter.features() & wgpu::Features::TIMESTAMP_QUERY,
+            required_features: adapter.features() & wanted,
             required_limits: limits,
             ..wgpu::DeviceDescriptor::default()
         }))
@@ -112,7 +118,18 @@ impl Gpu {
             }
         });
         let kernels = [OnceLock::new(), OnceLock::new()];
-        Self { inner: Arc::new(Inner { device, queue, info, faults, native_exp2: OnceLock::new(), kernels }) }
+        let float_atomics = device.features().contains(wgpu::Features::SHADER_FLOAT32_ATOMIC);
+        Self {
+            inner: Arc::new(Inner {
+                device,
+                queue,
+                info,
+                faults,
+                native_exp2: OnceLock::new(),
+                float_atomics,
+                kernels,
+            }),
+        }
     }
 
     /// Name of the adapter, as its driver gives it.
@@ -142,7 +159,13 @@ impl Gpu {
     /// The compiled kernels, compiled at the first call.
     pub(crate) fn kernels(&self, with_profile: bool) -> &Kernels {
         let native = *self.inner.native_exp2.get_or_init(|| crate::probe::exp2_is_accurate(self));
-        self.inner.kernels[usize::from(with_profile)].get_or_init(|| Kernels::new(self.device(), with_profile, native))
+        self.inner.kernels[usize::from(with_profile)]
+            .get_or_init(|| Kernels::new(self.device(), with_profile, native, self.float_atomics()))
+    }
+
+    /// Whether gradients are added by float atomics.
+    pub(crate) fn float_atomics(&self) -> bool {
+        self.inner.float_atomics
     }
 
     /// The first fault since the last call, as an error.

@@ -54,8 +54,9 @@ pub(crate) fn projected_stride(with_profile: bool) -> u64 {
 }
 
 impl Kernels {
-    /// Compiles all kernels. `native_exp2`: the device's own exponential is accurate enough.
-    pub(crate) fn new(device: &wgpu::Device, with_profile: bool, native_exp2: bool) -> Self {
+    /// Compiles all kernels. `native_exp2`: the device's own exponential is accurate enough; `atomics`: the sums of entries
+    /// are added by float atomics.
+    pub(crate) fn new(device: &wgpu::Device, with_profile: bool, native_exp2: bool, atomics: bool) -> Self {
         let stride = projected_stride(with_profile);
         let constants = format!(
             "const STRIDE: u32 = {stride}u;\nconst HAS_PROFILE: bool = {with_profile};\nconst NATIVE_EXP2: bool = {native_exp2};\n"
@@ -64,6 +65,8 @@ impl Kernels {
             let source = [constants.as_str(), INDEX].into_iter().chain(parts.iter().copied()).collect::<String>();
             Kernel::new(device, name, &source, entry, binds)
         };
+        let record =
+            if atomics { include_str!("shaders/record_atomic.wgsl") } else { include_str!("shaders/record.wgsl") };
         let scan = include_str!("shaders/scan.wgsl");
         Self {
             project: make(
@@ -108,16 +111,11 @@ impl Kernels {
             ),
             blend_backward: make(
                 "blend backward",
-                &[VIEW, DOUBLE, ROW_TYPE, PROFILE, ROW, include_str!("shaders/blend_backward.wgsl")],
+                &[VIEW, DOUBLE, ROW_TYPE, PROFILE, ROW, record, include_str!("shaders/blend_backward.wgsl")],
                 "main",
                 &[Uniform, Read, Read, Read, Read, Read, Read, Read, Write],
             ),
-            gather: make(
-                "gather",
-                &[VIEW, DOUBLE, include_str!("shaders/gather.wgsl")],
-                "main",
-                &[Uniform, Read, Read, Write],
-            ),
+            gather: make("gather", &[VIEW, include_str!("shaders/gather.wgsl")], "main", &[Uniform, Read, Read, Write]),
             geometry_backward: make(
                 "geometry backward",
                 &[VIEW, DOUBLE, GEOMETRY, SPLAT_BACKWARD, include_str!("shaders/geometry_backward.wgsl")],

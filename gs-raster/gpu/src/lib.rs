@@ -39,7 +39,7 @@
 //! 4. blend: one workgroup a tile, one thread a pixel, front to back;
 //! 5. blend backward: one thread an entry walks the pixels of its tile, on a diagonal schedule that keeps the order of
 //!    blending for each pixel, and writes one record of twelve sums;
-//! 6. splats backward: each splat adds its records in the order of its tiles, then projection and colour backward.
+//! 6. splats backward: each splat adds its records in a tree of fixed shape, then projection and colour backward.
 //!
 //! All kernels keep to WebGPU's default limits: 8 storage buffers, 16 KiB of workgroup memory, 256 threads.
 //!

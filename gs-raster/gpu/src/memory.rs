@@ -51,6 +51,14 @@ impl Array {
         Ok(())
     }
 
+    /// Writes values at an offset in bytes; none stand for `bytes` of zeros.
+    pub(crate) fn write_or_zero(&self, gpu: &Gpu, offset: u64, bytes: u64, values: &[f32]) {
+        match values {
+            [] => gpu.queue().write_buffer(&self.buffer, offset, &vec![0; usize::try_from(bytes).unwrap_or(0)]),
+            values => gpu.queue().write_buffer(&self.buffer, offset, bytemuck::cast_slice(values)),
+        }
+    }
+
     /// The buffer behind it.
     pub(crate) fn buffer(&self) -> &wgpu::Buffer {
         &self.buffer

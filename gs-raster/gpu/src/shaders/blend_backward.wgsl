@@ -8,8 +8,7 @@
 @group(0) @binding(4) var<storage, read> projected: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read> transmittances: array<f32>;
 @group(0) @binding(6) var<storage, read> lasts: array<u32>;
-@group(0) @binding(7) var<storage, read> d_frame: array<f32>; // rgb, alpha, depth: five numbers a pixel
-@group(0) @binding(8) var<storage, read_write> records: array<vec4<f32>>; // three a entry, in the order of listing
+@group(0) @binding(7) var<storage, read> d_frame: array<f32>; // all rgb, then all alpha, then all depth
 
 const LANES: u32 = 32u;
 const STEPS: u32 = 64u; // blocks of 2×2 pixels; no fewer than lanes, so that buckets follow without a pause
@@ -21,12 +20,6 @@ var<workgroup> last: array<u32, 256>;
 var<workgroup> d_color: array<vec4<f32>, 256>; // rgb and depth
 var<workgroup> deepest: array<u32, LANES>;
 var<workgroup> used: u32;
-
-struct Sums {
-    a: vec4<f32>, // o, s a, s b, s aa
-    b: vec4<f32>, // s ab, s bb, r, g
-    c: vec4<f32>, // b, depth, two of the kernel's parameters
-}
 
 // Position in the tile of pixel i of block q.
 fn position(q: u32, i: u32) -> vec2<u32> {
@@ -41,11 +34,12 @@ fn load_pixel(corner: vec2<u32>, slot: u32) -> u32 {
     d_color[slot] = vec4(0.0, 0.0, 0.0, 0.0);
     if (pixel.x < view.sizes.x && pixel.y < view.sizes.y) {
         let at = pixel.y * view.sizes.x + pixel.x;
-        let d = vec3(d_frame[5u * at], d_frame[5u * at + 1u], d_frame[5u * at + 2u]);
+        let pixels = view.sizes.x * view.sizes.y;
+        let d = vec3(d_frame[3u * at], d_frame[3u * at + 1u], d_frame[3u * at + 2u]);
         transmittance[slot] = transmittances[at];
-        behind[slot] = transmittances[at] * (dot(view.background.xyz, d) - d_frame[5u * at + 3u]);
+        behind[slot] = transmittances[at] * (dot(view.background.xyz, d) - d_frame[3u * pixels + at]);
         last[slot] = lasts[at];
-        d_color[slot] = vec4(d, d_frame[5u * at + 4u]);
+        d_color[slot] = vec4(d, d_frame[4u * pixels + at]);
     }
     return last[slot];
 }
@@ -94,12 +88,6 @@ fn pixel_backward(row: Row, slot: u32, at: u32, pixel: vec2<f32>, sums: ptr<func
     (*sums).b.y = fma(sb, e.y, (*sums).b.y);
 }
 
-fn write_record(entry: u32, sums: Sums) {
-    records[3u * entry] = sums.a;
-    records[3u * entry + 1u] = sums.b;
-    records[3u * entry + 2u] = sums.c;
-}
-
 fn empty() -> Sums {
     return Sums(vec4(0.0, 0.0, 0.0, 0.0), vec4(0.0, 0.0, 0.0, 0.0), vec4(0.0, 0.0, 0.0, 0.0));
 }
@@ -122,7 +110,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     }
     let blended = workgroupUniformLoad(&used);
     for (var slot = blended + lane; slot < range.y - range.x; slot += LANES) {
-        write_record(order[range.x + slot], empty());
+        clear_record(order[range.x + slot]);
     }
     let buckets = (blended + LANES - 1u) / LANES;
     var row: Row;
@@ -147,7 +135,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         for (var step = 0u; step < steps; step++) {
             if (step == lane) {
                 if (active_row) {
-                    write_record(entry, sums);
+                    write_record(entry, entry_splats[entry], sums);
                 }
                 row = next_row;
                 slot = next_slot;

@@ -1,7 +1,7 @@
 // What the splats of a workgroup pull back to the camera, summed in a tree of fixed shape: viewmat row by row, then the focal
 // lengths and the principal point (see gs_raster's `camera_grad.rs`). After the gradients of the splats.
 
-@group(0) @binding(7) var<storage, read_write> grads: array<vec4<f32>>; // read: means with the path through the view direction
+@group(0) @binding(7) var<storage, read_write> grads: array<f32>; // read: means, with the path through the view direction
 @group(0) @binding(8) var<storage, read_write> partial_sums: array<vec4<f32>>;
 
 var<workgroup> tree: array<vec4<f32>, 256>; // four vectors a thread
@@ -42,7 +42,7 @@ fn main(
     if (is_drawn(i)) {
         let d = splat_backward(i);
         let mean = vec3(means[3u * i], means[3u * i + 1u], means[3u * i + 2u]);
-        let d_view = grads[4u * i].xyz - d.mean;
+        let d_view = vec3(grads[3u * i], grads[3u * i + 1u], grads[3u * i + 2u]) - d.mean;
         let own = rotation_of(d.geometry.unit);
         tree[lane] = viewmat_row(d, own, mean, d_view, 0u);
         tree[64u + lane] = viewmat_row(d, own, mean, d_view, 1u);

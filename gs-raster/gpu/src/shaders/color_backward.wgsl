@@ -5,7 +5,7 @@
 @group(0) @binding(3) var<storage, read> spans: array<vec2<u32>>;
 @group(0) @binding(4) var<storage, read> sums: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read_write> d_colors: array<f32>;
-@group(0) @binding(6) var<storage, read_write> grads: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> grads: array<f32>; // means come first
 
 fn write(at: u32, value: vec3<f32>) {
     d_colors[at] = value.x;
@@ -54,5 +54,7 @@ fn main(
     // Onto the sphere: the part along the direction has no effect.
     let d = basis_backward(seen.xyz, degree, d_basis);
     let d_mean = (d - seen.xyz * dot(seen.xyz, d)) * seen.w;
-    grads[4u * i] += vec4(d_mean, 0.0);
+    grads[3u * i] += d_mean.x;
+    grads[3u * i + 1u] += d_mean.y;
+    grads[3u * i + 2u] += d_mean.z;
 }

@@ -1,13 +1,29 @@
-// One thread a splat: its gradients, four vectors: mean and opacity; quaternion; scale and radius; centre on the screen and
-// the kernel's two sums.
+// One thread a splat: its gradients, column after column as the host keeps them: means, quaternions, scales, opacities, centres
+// on the screen, radii, and the two sums of the kernel's parameters.
 
-@group(0) @binding(7) var<storage, read_write> grads: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read_write> grads: array<f32>;
 
-fn write(i: u32, a: vec4<f32>, b: vec4<f32>, c: vec4<f32>, d: vec4<f32>) {
-    grads[4u * i] = a;
-    grads[4u * i + 1u] = b;
-    grads[4u * i + 2u] = c;
-    grads[4u * i + 3u] = d;
+fn write3(at: u32, v: vec3<f32>) {
+    grads[at] = v.x;
+    grads[at + 1u] = v.y;
+    grads[at + 2u] = v.z;
+}
+
+fn write2(at: u32, v: vec2<f32>) {
+    grads[at] = v.x;
+    grads[at + 1u] = v.y;
+}
+
+fn write(i: u32, d: SplatGrad) {
+    let n = view.counts.x;
+    write3(3u * i, d.mean);
+    write2(3u * n + 4u * i, d.quat.xy);
+    write2(3u * n + 4u * i + 2u, d.quat.zw);
+    write3(7u * n + 3u * i, d.scale);
+    grads[10u * n + i] = d.opacity;
+    write2(11u * n + 2u * i, d.mean2d);
+    grads[13u * n + i] = d.radius;
+    write2(14u * n + 2u * i, d.kernel);
 }
 
 @compute @workgroup_size(64)
@@ -20,11 +36,10 @@ fn main(
     if (i >= view.counts.x) {
         return;
     }
-    if (!is_drawn(i)) {
-        let none = vec4(0.0, 0.0, 0.0, 0.0);
-        write(i, none, none, none, none);
-        return;
+    var none: SplatGrad;
+    if (is_drawn(i)) {
+        write(i, splat_backward(i));
+    } else {
+        write(i, none);
     }
-    let d = splat_backward(i);
-    write(i, vec4(d.mean, d.opacity), d.quat, vec4(d.scale, d.radius), vec4(d.mean2d, d.kernel));
 }
