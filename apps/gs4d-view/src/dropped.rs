@@ -1,4 +1,4 @@
-//! Splat files that are dropped onto the page: they become shows of this viewer, for all pages that open it later.
+//! Splat files that are dropped onto the page: they become shows of this viewer, for all its pages.
 
 use crate::routes::stranger;
 use crate::server::Shared;
@@ -9,6 +9,7 @@ use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
 use gs_core::io::{Limits, parse_splats};
+use percent_encoding::percent_decode_str;
 use serde_json::json;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -53,6 +54,7 @@ pub(crate) async fn take(
         let splats = state.in_pool(read).map_err(|e| e.to_string())?;
         Ok(state.stage.add(Show::splats(name.clone(), splats), MAX_SHOWS).map(|number| {
             let mut about = state.stage.about();
+            state.news.send_replace(Some(json!({"listed": about["shows"]}).to_string()));
             about["number"] = json!(number);
             about.to_string()
         }))
@@ -71,16 +73,7 @@ pub(crate) async fn take(
 /// The file name in a query `name=…`, percent-encoded, without folders and control characters.
 fn name_of(uri: &Uri) -> String {
     let given = uri.query().into_iter().flat_map(|q| q.split('&')).find_map(|pair| pair.strip_prefix("name="));
-    let mut bytes = Vec::new();
-    let mut rest = given.unwrap_or("file").bytes();
-    while let Some(byte) = rest.next() {
-        let digit = |b: Option<u8>| b.and_then(|b| char::from(b).to_digit(16)).and_then(|d| u8::try_from(d).ok());
-        bytes.push(match byte {
-            b'%' => 16 * digit(rest.next()).unwrap_or(0) + digit(rest.next()).unwrap_or(0),
-            other => other,
-        });
-    }
-    let name = String::from_utf8_lossy(&bytes);
+    let name = percent_decode_str(given.unwrap_or("file")).decode_utf8_lossy();
     let last = name.rsplit(['/', '\\']).next().unwrap_or_default();
     last.chars().filter(|c| !c.is_control()).take(100).collect()
 }
@@ -94,7 +87,7 @@ mod tests {
         let name = |query: &str| name_of(&format!("/drop?k=1&{query}").parse().unwrap());
         assert_eq!(name("name=a%20b%C3%A9.ply"), "a bé.ply");
         assert_eq!(name("name=..%2F..%2Fetc%2Fpasswd"), "passwd");
-        assert_eq!(name("name=%"), "");
+        assert_eq!(name("name=%"), "%");
         assert_eq!(name("x=1"), "file");
     }
 }

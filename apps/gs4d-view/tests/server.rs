@@ -349,8 +349,11 @@ fn a_dropped_file_becomes_a_show_and_others_are_refused() {
     for (path, origin) in [(path("a.ply"), Some("http://evil.example")), ("/drop?k=0&name=a.ply".to_owned(), None)] {
         assert!(post(&server, &path, origin, &ply).starts_with("HTTP/1.1 403"), "{path}");
     }
+    let (mut other, _) = greeted(&server);
     let answer = post(&server, &path("two.ply"), Some(&own), &ply);
     assert!(answer.starts_with("HTTP/1.1 200") && answer.contains(r#""number":1"#), "{answer}");
+    let news: Value = serde_json::from_str(other.read().unwrap().to_text().unwrap()).unwrap();
+    assert_eq!(news["listed"][1]["name"], "two.ply", "a page that was open learns of it");
     let bad = post(&server, &path("bad.ply"), Some(&own), b"ply\nnothing");
     assert!(bad.starts_with("HTTP/1.1 422") && bad.contains("bad.ply"), "{bad}");
     let (mut socket, about) = greeted(&server);

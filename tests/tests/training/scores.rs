@@ -3,7 +3,7 @@
 use crate::support::*;
 use gs_data::{Dataset, ImageCache, Split};
 use gs_raster::{Workspace, render};
-use gs_train::evaluate::{EvalError, evaluate};
+use gs_train::evaluate::{EvalError, Scoring, evaluate};
 use gs_train::timestamp::Timestamp;
 use gs4d_eval::folders::TofOptions;
 use gs4d_eval::temporal::{TemporalError, tof};
@@ -62,7 +62,9 @@ fn motion_is_scored_along_videos_only() {
     run(&mut trainer, 20);
     let images = ImageCache::new(1 << 20, 1.0);
     let whole = TofOptions { trim: false, crop: false };
-    let score = |data: &Dataset| tof(trainer.model(), data, Split::Test, [0.0; 3], &images, whole);
+    let (share, device) = Default::default();
+    let scoring = Scoring { background: [0.0; 3], images: &images, share: &share, device: &device };
+    let score = |data: &Dataset| tof(trainer.model(), data, Split::Test, &scoring, whole);
     let film = score(&filmed(&data, 4, 0.02)).expect("a video");
     assert_eq!(film.pairs.iter().map(|p| p.name.as_str()).collect::<Vec<_>>(), ["film 1", "film 2", "film 3"]);
     assert!(film.mean.is_finite() && film.mean >= 0.0);

@@ -137,6 +137,7 @@ function open() {
     if (typeof m.data !== "string") return collect(m.data);
     const message = JSON.parse(m.data);
     if (message.shows) return begin(message);
+    if (message.listed) return listShows(message.listed);
     if (message.paused !== undefined) showPaused(message.paused);
     if (message.news) return news(message.news);
     if (!message.error) return;

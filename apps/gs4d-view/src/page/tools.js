@@ -63,6 +63,12 @@ $("fly").addEventListener("click", fly);
 $("save-path").addEventListener("click", () => download("path.json", new TextEncoder().encode(JSON.stringify(flight.map((k) => k.entry), null, 1))));
 $("clear-path").addEventListener("click", () => { flight = []; showPath(); });
 
+// All shows there are, also those that another page added.
+function listShows(all) {
+  shows = all;
+  for (const side of ["a", "b"]) options($("show-" + side), shows.map((s, k) => [k, s.name]), state[side][0]);
+}
+
 // Files that are dropped become shows. What is refused stays readable for a while.
 let refusedUntil = 0;
 async function dropped(files) {
@@ -73,8 +79,7 @@ async function dropped(files) {
       const answer = await fetch(`drop?k=${encodeURIComponent(key)}&name=${encodeURIComponent(one.name)}`, { method: "POST", body: one });
       if (!answer.ok) { refused.push(`${one.name}: ${await answer.text()}`); continue; }
       const { number, shows: all } = await answer.json();
-      shows = all;
-      for (const side of ["a", "b"]) options($("show-" + side), shows.map((s, k) => [k, s.name]), state[side][0]);
+      listShows(all);
       $("show-a").value = number; $("show-a").dispatchEvent(new Event("change"));
       frameScene();
     } catch (e) { refused.push(`${one.name} cannot be sent: ${e.message}`); }
