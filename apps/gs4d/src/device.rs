@@ -24,14 +24,19 @@ enum Choice {
 impl DeviceFlag {
     /// The device that was asked for.
     pub fn open(self, global: &Global) -> Result<Device, Failure> {
-        match self.device {
-            Choice::Cpu => Ok(Device::default()),
-            Choice::Gpu => gpu(),
-            Choice::Auto => Ok(gpu_if_any().unwrap_or_else(|why| {
-                global.say(format!("rendering on the CPU: {why}"));
-                Device::default()
-            })),
-        }
+        let device = match self.device {
+            Choice::Cpu => return Ok(Device::default()),
+            Choice::Gpu => gpu()?,
+            Choice::Auto => match gpu_if_any() {
+                Ok(device) => device,
+                Err(why) => {
+                    global.say(format!("rendering on the CPU: {why}"));
+                    return Ok(Device::default());
+                }
+            },
+        };
+        global.say(format!("rendering on {}", device.name()));
+        Ok(device)
     }
 
     /// The same for a training: several ranks render on the CPU.
