@@ -38,7 +38,7 @@ impl Array {
         let size = (bytes + bytes / 4).next_multiple_of(LEAST).min(allowed);
         self.buffer = storage(gpu, self.what, size);
         self.bytes = bytes;
-        gpu.check()
+        gpu.check().inspect_err(|_| *self = Self::new(gpu, self.what))
     }
 
     /// Writes values from the start on.
@@ -109,10 +109,11 @@ impl Readback {
         mut take: impl FnMut(usize, &[u8]),
     ) -> Result<(), GpuError> {
         let total: u64 = arrays.iter().map(|a| a.bytes()).sum();
+        // Taken out until it is free again: after a fault another one is made.
         let staging = self.staging(gpu, total)?;
         let mut at = 0;
         for array in arrays {
-            encoder.copy_buffer_to_buffer(array.buffer(), 0, staging, at, array.bytes());
+            encoder.copy_buffer_to_buffer(array.buffer(), 0, &staging, at, array.bytes());
             at += array.bytes();
         }
         gpu.queue().submit([encoder.finish()]);
@@ -133,18 +134,19 @@ impl Readback {
         }
         drop(view);
         staging.unmap();
+        self.buffer = Some(staging);
         Ok(())
     }
 
-    fn staging(&mut self, gpu: &Gpu, bytes: u64) -> Result<&wgpu::Buffer, GpuError> {
-        if self.buffer.as_ref().is_none_or(|b| b.size() < bytes) {
-            self.buffer = None;
-            let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
-            let size = bytes + bytes / 4 / 4 * 4;
-            let desc = wgpu::BufferDescriptor { label: Some("readback"), size, usage, mapped_at_creation: false };
-            self.buffer = Some(gpu.device().create_buffer(&desc));
-            gpu.check()?;
+    fn staging(&mut self, gpu: &Gpu, bytes: u64) -> Result<wgpu::Buffer, GpuError> {
+        if let Some(buffer) = self.buffer.take().filter(|b| b.size() >= bytes) {
+            return Ok(buffer);
         }
-        self.buffer.as_ref().ok_or(GpuError::NoFrame)
+        let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
+        let size = bytes + bytes / 4 / 4 * 4;
+        let desc = wgpu::BufferDescriptor { label: Some("readback"), size, usage, mapped_at_creation: false };
+        let buffer = gpu.device().create_buffer(&desc);
+        gpu.check()?;
+        Ok(buffer)
     }
 }

@@ -92,8 +92,7 @@ impl Sorter {
         self.sums.resize(gpu, sums_bytes(bins))
     }
 
-    /// Sorts the lowest `bits` of the keys. `count` ends with their number; `first` are the keys and values at the start:
-    /// without values these are the positions. Returns which of the pairs holds the result.
+    /// Sorts by the lowest bits of the keys. Returns which of the pairs holds the result.
     pub(crate) fn sort(
         &mut self,
         gpu: &Gpu,

@@ -2,10 +2,10 @@
 
 use bytemuck::{Pod, Zeroable};
 use gs_core::{Camera, Color, SplatsRef, cast};
-use gs_raster::{ClampGrad, RasterOptions};
+use gs_raster::{ClampGrad, RasterOptions, tiles};
 
 /// Side of a tile, pixels.
-const TILE: u32 = 16;
+const TILE: u32 = tiles::TILE as u32;
 /// `√(½ log₂ e)` squared: from squared Mahalanobis distances to the blend's `a² + b²`.
 const LOG2_SCALE_SQUARED: f64 = 0.5 * std::f64::consts::LOG2_E;
 /// The projection Jacobian clamps `x/z` this fraction of half the image beyond its border (INRIA's 1.3 tan).

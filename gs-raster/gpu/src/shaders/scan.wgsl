@@ -5,6 +5,12 @@
 
 var<workgroup> partial: array<u32, 256>;
 
+// A sum that stays at the largest number: a frame of so many entries is refused.
+fn add(a: u32, b: u32) -> u32 {
+    let sum = a + b;
+    return select(sum, 0xffffffffu, sum < a);
+}
+
 // Exclusive sum over the workgroup, and the total.
 fn workgroup_scan(lane: u32, value: u32) -> vec2<u32> {
     partial[lane] = value;
@@ -15,7 +21,7 @@ fn workgroup_scan(lane: u32, value: u32) -> vec2<u32> {
             before = partial[lane - step];
         }
         workgroupBarrier();
-        partial[lane] += before;
+        partial[lane] = add(partial[lane], before);
         workgroupBarrier();
     }
     let result = vec2(partial[lane] - value, partial[255]);
@@ -39,7 +45,7 @@ fn blocks(
         if (first + k < n) {
             own[k] = values[first + k];
         }
-        sum += own[k];
+        sum = add(sum, own[k]);
     }
     let scanned = workgroup_scan(lane, sum);
     var before = scanned.x;
@@ -74,7 +80,7 @@ fn offsets(@builtin(local_invocation_index) lane: u32) {
         if (i < n) {
             sums[i] = carry + scanned.x;
         }
-        carry += scanned.y;
+        carry = add(carry, scanned.y);
     }
     if (lane == 0u) {
         sums[n] = carry;
