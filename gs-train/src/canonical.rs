@@ -96,15 +96,19 @@ impl Canonical {
     /// # Errors
     /// If the blocks of the cloud do not have the same rows.
     pub fn densify(&mut self) -> Result<DensifyStats, RowEditError> {
-        self.densify_with(&mut [])
+        self.densify_with(&mut [], &mut [])
     }
 
-    /// The same for a method with row blocks of its own beside the cloud: all are edited together, and a copy or child takes
-    /// over the values of its parent.
+    /// The same for a method with row blocks, or columns of given width, of its own beside the cloud: all are edited together. In a
+    /// block, a copy or child takes over the values of its parent; in a column it finds zeros.
     ///
     /// # Errors
     /// If a block has no rows, or fewer than the cloud.
-    pub fn densify_with(&mut self, blocks: &mut [&mut Param]) -> Result<DensifyStats, RowEditError> {
+    pub fn densify_with(
+        &mut self,
+        blocks: &mut [&mut Param],
+        columns: &mut [(&mut Vec<f32>, usize)],
+    ) -> Result<DensifyStats, RowEditError> {
         let mut stats = DensifyStats::default();
         if self.edits() {
             let at = DensifyContext {
@@ -114,7 +118,8 @@ impl Canonical {
                 seed: self.seed,
                 white: self.white,
             };
-            stats = self.densify.densify(&self.rules, &at, &mut CloudAnd { cloud: &mut self.cloud, blocks })?;
+            let mut rows = CloudAnd { cloud: &mut self.cloud, blocks, columns };
+            stats = self.densify.densify(&self.rules, &at, &mut rows)?;
         }
         if self.at.ends_clock {
             self.densify.clear(self.cloud.len());
@@ -159,12 +164,13 @@ impl Canonical {
 }
 
 /// A cloud and other row blocks of the same Gaussians.
-struct CloudAnd<'a, 'b> {
+struct CloudAnd<'a, 'b, 'c> {
     cloud: &'a mut Cloud,
     blocks: &'a mut [&'b mut Param],
+    columns: &'a mut [(&'c mut Vec<f32>, usize)],
 }
 
-impl GaussianRows for CloudAnd<'_, '_> {
+impl GaussianRows for CloudAnd<'_, '_, '_> {
     fn cloud(&self) -> &Cloud {
         self.cloud
     }
@@ -176,6 +182,8 @@ impl GaussianRows for CloudAnd<'_, '_> {
     fn edit(&mut self, edit: &RowEdit) -> Result<(), RowEditError> {
         let mut all = self.cloud.blocks_mut();
         all.extend(self.blocks.iter_mut().map(|p| &mut **p));
-        edit.apply(&mut all)
+        edit.apply(&mut all)?;
+        self.columns.iter_mut().for_each(|(column, width)| **column = edit.apply_to_column(column, *width));
+        Ok(())
     }
 }

@@ -113,6 +113,13 @@ pub const SHARED: &[Domain] = &[
     within("cloud.spread", 1e-3, 1e3),
     within("kernel.beta_hi", 0.0, 1.0),
     length("kernel.from_step", 0.0),
+    interval("still.every"),
+    within("still.from", 0.0, 1.0),
+    within("still.pixels", 0.0, 1e3),
+    within("still.probes", 2.0, 1024.0),
+    within("still.shape", 0.0, 1e3),
+    within("still.turn", 1.0, 1e6),
+    within("still.until", 0.0, 1.0),
     within("anneal.strength", 0.0, 1e3),
     within("margin", 0.0, 1e3),
     // Networks of place and time.

@@ -8,6 +8,7 @@
 //! | [`CLOUD`] | clouds of Gaussians (3DGS) | [`BASE`] |
 //! | [`DEFORMED`] | clouds that a field moves after a warm-up at rest (Deformable 3DGS) | [`CLOUD`] |
 //! | [`FOLLOW`] | views let in by time (TRACE), and a stage in which only the field learns (ours) | [`DEFORMED`] |
+//! | [`STILL`] | splats left out of the field while training (ours) | [`CLOUD`] |
 //! | [`NETWORK`] | the field of Deformable 3DGS | [`DEFORMED`] |
 //! | [`PLANES`] | the field of 4DGS | [`CLOUD`] |
 //!
@@ -39,3 +40,5 @@ pub const PLANES: &str = include_str!("layers/planes.toml");
 pub const PLANES_FAST: &str = include_str!("layers/planes.fast.toml");
 /// Of the field of 4DGS, preset `tiny`.
 pub const PLANES_TINY: &str = include_str!("layers/planes.tiny.toml");
+/// Of splats that are left out of the field while training.
+pub const STILL: &str = include_str!("layers/still.toml");

@@ -1,5 +1,5 @@
-//! Splats that hardly move: found by probing a deformation over time, and left at one pose in rendering. An approximation,
-//! used only where it is asked for.
+//! Splats that hardly move: found by probing a deformation over time, and left at one pose in rendering, or left out of the field
+//! while [`training`]. An approximation, used only where it is asked for.
 //!
 //! ```text
 //! pose = half-way between the smallest and the largest value of means, quats and scales over the probe times
@@ -7,6 +7,8 @@
 //! A splat is static if its centre stays within `pixels` of its pose on every camera's screen (where it comes nearest), and
 //! its shape within a share ε, `max |s − s̄| ≤ ε max |s|` and `2 ‖q − q̄‖ ≤ ε ‖q‖`, at the probe times and half-way between
 //! them. What happens at other times is not known.
+
+pub mod training;
 
 use crate::capabilities::{FreezeOptions, FreezeReport};
 use glam::{Vec3, Vec4};

@@ -187,7 +187,7 @@ impl Method for Spacetime {
 
     fn end_step(&mut self) -> Result<StepEvents, MethodError> {
         let blocks = &mut [&mut self.motion, &mut self.spin, &mut self.centers, &mut self.log_rates];
-        let densified = self.canonical.densify_with(blocks)?;
+        let densified = self.canonical.densify_with(blocks, &mut [])?;
         Ok(StepEvents { densified, log: Vec::new() })
     }
 

@@ -3,7 +3,7 @@
 //! Settings and body are those of [`grid4d`](super::grid4d).
 
 use crate::grid4d::{DOMAINS, PRESETS, SETTINGS, build_as};
-use gs_train::layers::{BASE, CLOUD, DEFORMED};
+use gs_train::layers::{BASE, CLOUD, DEFORMED, STILL};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::registry::MethodEntry;
@@ -13,7 +13,7 @@ use gs_train::scene::SceneInfo;
 pub const ENTRY: MethodEntry = MethodEntry {
     name: "acutance",
     about: "Grid4D with a sharpness (acutance) per splat: a reduction of Deformable Radial Kernels",
-    defaults: &[BASE, CLOUD, DEFORMED, SETTINGS, include_str!("acutance.toml")],
+    defaults: &[BASE, CLOUD, STILL, DEFORMED, SETTINGS, include_str!("acutance.toml")],
     presets: PRESETS,
     domains: DOMAINS,
     needs_avatar: false,

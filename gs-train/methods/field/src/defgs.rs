@@ -5,20 +5,21 @@ use gs_deform::field::anneal::Anneal;
 use gs_deform::{DefGsConfig, DefMlp};
 use gs_train::canonical::Canonical;
 use gs_train::layers::{
-    BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED, FOLLOW, MOTION_FAST, NETWORK, NETWORK_FAST, NETWORK_TINY,
+    BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED, FOLLOW, MOTION_FAST, NETWORK, NETWORK_FAST, NETWORK_TINY, STILL,
 };
 use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::registry::{MethodEntry, parse_config};
 use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
 use gs_train::schedule::Schedule;
+use gs_train::still::training::StillConfig;
 use serde::{Deserialize, Serialize};
 
 /// The line in the list of methods.
 pub const ENTRY: MethodEntry = MethodEntry {
     name: "defgs",
     about: "Deformable 3D Gaussians: a cloud moved by a network of place and time (Yang et al. 2024)",
-    defaults: &[BASE, CLOUD, DEFORMED, FOLLOW, NETWORK, include_str!("defgs.toml")],
+    defaults: &[BASE, CLOUD, STILL, DEFORMED, FOLLOW, NETWORK, include_str!("defgs.toml")],
     presets: &[
         ("paper", &[]),
         ("fast", &[CLOUD_FAST, NETWORK_FAST, MOTION_FAST, include_str!("defgs.fast.toml")]),
@@ -41,6 +42,9 @@ pub struct Config {
     pub anneal: Anneal,
     /// The deformation network of place and time.
     pub field: DefGsConfig,
+    /// Splats that hardly move, left out of the field while training.
+    #[serde(default)]
+    pub still: StillConfig,
     /// The plan of the run.
     pub schedule: Schedule,
 }
@@ -51,5 +55,6 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     scene.admit(ENTRY.name, &[config.field.param_count()])?;
     let field = DefMlp::new(&config.field, scene.seed).map_err(wrong)?;
     let canonical = Canonical::new(&config.cloud, &mut config.schedule, scene)?;
-    Model::new(ENTRY.name, Deformed::new(canonical, field, config.anneal, scene.views), config.schedule)
+    let method = Deformed::new(canonical, field, config.anneal, scene.views).resting(config.still, scene);
+    Model::new(ENTRY.name, method, config.schedule)
 }

@@ -13,8 +13,10 @@ use gs_train::capabilities::{Bake, Capabilities, FreezeOptions, FreezeReport, In
 use gs_train::kernel::kernel_quantities;
 use gs_train::method::{Buffer, BufferMut, Buffers, LossValue, Method, MethodError, RenderView, StepEvents, ViewCtx};
 use gs_train::palette::DIRECTIONS;
+use gs_train::scene::SceneInfo;
 use gs_train::step::StepCtx;
 use gs_train::still::Still;
+use gs_train::still::training::{StillConfig, StillRows};
 use gs_train::timestamp::Timestamp;
 use std::sync::{Mutex, PoisonError};
 
@@ -34,6 +36,8 @@ pub struct Deformed<F: Field> {
     rendering: Mutex<Option<F::Tape>>,
     /// What rendering leaves at rest.
     still: Option<Still>,
+    /// What training leaves out of the field.
+    resting: StillRows,
 }
 
 impl<F: Field> Deformed<F> {
@@ -42,7 +46,14 @@ impl<F: Field> Deformed<F> {
         let interval = 1.0 / views.max(1) as f32;
         let (tape, moved, d_canonical) = Default::default();
         let (rendering, still, regular_from) = Default::default();
-        Self { canonical, field, tape, moved, d_canonical, anneal, interval, regular_from, rendering, still }
+        let resting = StillRows::new(StillConfig::default(), 0, 1.0);
+        Self { canonical, field, tape, moved, d_canonical, anneal, interval, regular_from, rendering, still, resting }
+    }
+
+    /// The same, still splats left out of the field while training.
+    pub(crate) fn resting(self, config: StillConfig, scene: &SceneInfo) -> Self {
+        let resting = StillRows::new(config, self.canonical.cloud.len(), scene.last_time);
+        Self { resting, ..self }
     }
 
     /// The same without the field's regularisers before this step of the run.
@@ -81,6 +92,21 @@ impl<F: Field> Deformed<F> {
         self.still = None;
     }
 
+    /// Decides which splats are left out of the field from now on, where that is due.
+    fn decide_still(&mut self) -> Vec<serde_json::Value> {
+        let step = self.canonical.at.step;
+        if !self.resting.due(&self.canonical.at) {
+            return Vec::new();
+        }
+        let splats = self.canonical.activated();
+        let mut first = true;
+        let still = self.resting.decide(splats.geometry(), |t, out| match std::mem::take(&mut first) {
+            true => self.field.forward(splats.geometry(), t, &mut self.tape, out),
+            false => self.field.forward_again(splats.geometry(), t, &mut self.tape, out),
+        });
+        vec![serde_json::json!({ "step": step, "still": still, "splats": splats.len() })]
+    }
+
     fn training_time(&self, t: Time) -> Time {
         smooth_time(t, self.interval, &self.anneal, self.canonical.seed(), self.canonical.at.step)
     }
@@ -101,10 +127,12 @@ impl<F: Field> Params for Deformed<F> {
 impl<F: Field> Buffers for Deformed<F> {
     fn buffers(&self, f: &mut dyn FnMut(Buffer<'_>)) {
         self.canonical.buffers(f);
+        self.resting.buffers(f);
     }
 
     fn buffers_mut(&mut self, f: &mut dyn FnMut(BufferMut<'_>)) {
         self.canonical.buffers_mut(f);
+        self.resting.buffers_mut(f);
     }
 }
 
@@ -114,6 +142,7 @@ where
 {
     fn begin_step(&mut self, at: &StepCtx) {
         self.canonical.begin_step(at);
+        self.resting.begin_step(at);
         self.forget();
     }
 
@@ -130,12 +159,15 @@ where
         let dynamic = self.canonical.at.dynamic;
         let stats = if dynamic {
             let t = self.training_time(view.at.t);
-            let Canonical { splats, d_splats, at, .. } = &mut self.canonical;
-            self.field.forward(splats.geometry(), t, &mut self.tape, &mut self.moved);
+            let Self { canonical: Canonical { splats, d_splats, at, .. }, field, tape, resting, .. } = self;
+            let forward = |rows: GeometryRef<'_>, out: &mut Geometry| field.forward(rows, t, tape, out);
+            resting.forward(splats.geometry(), forward, &mut self.moved);
             let stats = render.render(splats.with_geometry(self.moved.view()), d_splats)?;
+            resting.see(&self.moved, stats, view.camera);
             at.keep_sizes(d_splats);
-            self.d_canonical.reset(splats.len());
-            self.field.backward(splats.geometry(), &mut self.tape, d_splats.geometry(), &mut self.d_canonical);
+            let backward =
+                |rows: GeometryRef<'_>, d: GeometryRef<'_>, to: &mut Geometry| field.backward(rows, tape, d, to);
+            resting.backward(splats.geometry(), d_splats.geometry(), backward, &mut self.d_canonical);
             d_splats.swap_geometry(&mut self.d_canonical);
             stats
         } else {
@@ -157,12 +189,14 @@ where
     }
 
     fn needs_whole_rows(&self) -> bool {
-        self.canonical.needs_whole_rows()
+        self.canonical.needs_whole_rows() || self.resting.due(&self.canonical.at)
     }
 
     fn end_step(&mut self) -> Result<StepEvents, MethodError> {
         self.forget();
-        Ok(StepEvents { densified: self.canonical.densify()?, log: Vec::new() })
+        let log = self.decide_still();
+        let densified = self.canonical.densify_with(&mut [], &mut self.resting.columns_mut())?;
+        Ok(StepEvents { densified, log })
     }
 
     fn splat_count(&self) -> usize {
@@ -194,6 +228,8 @@ where
         if self.canonical.at.dynamic {
             let values = self.field.quantities(canonical.geometry(), at.t);
             all.extend(values.into_iter().map(|(name, values)| Quantity::share(name, values)));
+            let still: Vec<f32> = self.resting.flags().map(|still| f32::from(u8::from(still))).collect();
+            all.extend((!still.is_empty()).then(|| Quantity::share("still", still)));
         }
         Ok(all)
     }
@@ -221,6 +257,7 @@ where
         let (still, report) = self.canonical.at.dynamic.then(|| Still::find(canonical.len(), options, probe))??;
         let fresh = Self::new(self.canonical.clone(), field.clone(), self.anneal, 1);
         let (interval, regular_from) = (self.interval, self.regular_from);
-        Some((Box::new(Self { interval, regular_from, still: Some(still), ..fresh }), report))
+        let resting = self.resting.clone();
+        Some((Box::new(Self { interval, regular_from, still: Some(still), resting, ..fresh }), report))
     }
 }

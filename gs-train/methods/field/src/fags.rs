@@ -2,7 +2,7 @@
 //! gate and a loss on amplitude spectra. Settings and body are those of [`grid4d`](super::grid4d).
 
 use crate::grid4d::{DOMAINS, FAST_GRIDS, HYPERNERF, NEU3D, SETTINGS, TINY, build_as};
-use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, DEFORMED};
+use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, DEFORMED, STILL};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::registry::MethodEntry;
@@ -12,7 +12,7 @@ use gs_train::scene::SceneInfo;
 pub const ENTRY: MethodEntry = MethodEntry {
     name: "fags",
     about: "FAGS: Grid4D with learnt fall-offs, a Fourier branch, a gate and a loss on spectra",
-    defaults: &[BASE, CLOUD, DEFORMED, SETTINGS, include_str!("fags.toml")],
+    defaults: &[BASE, CLOUD, STILL, DEFORMED, SETTINGS, include_str!("fags.toml")],
     presets: &[
         ("paper", &[]),
         ("fast", &[CLOUD_FAST, FAST_GRIDS, include_str!("fags.fast.toml")]),

@@ -4,19 +4,20 @@ use crate::deformed::Deformed;
 use gs_deform::field::anneal::Anneal;
 use gs_deform::{Aabb, FourDgsConfig, HexPlaneField};
 use gs_train::canonical::Canonical;
-use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, PLANES, PLANES_FAST, PLANES_TINY};
+use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, PLANES, PLANES_FAST, PLANES_TINY, STILL};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::registry::{MethodEntry, parse_config};
 use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
 use gs_train::schedule::Schedule;
+use gs_train::still::training::StillConfig;
 use serde::{Deserialize, Serialize};
 
 /// The line in the list of methods.
 pub const ENTRY: MethodEntry = MethodEntry {
     name: "fourdgs",
     about: "4D Gaussian Splatting: a cloud moved by six feature planes over space and time (Wu et al. 2024)",
-    defaults: &[BASE, CLOUD, PLANES, include_str!("fourdgs.toml")],
+    defaults: &[BASE, CLOUD, STILL, PLANES, include_str!("fourdgs.toml")],
     presets: &[
         ("paper", &[]),
         ("fast", &[CLOUD_FAST, PLANES_FAST, include_str!("fourdgs.fast.toml")]),
@@ -39,6 +40,9 @@ pub struct Config {
     pub margin: f32,
     /// Feature planes, decoder and heads of the field.
     pub field: FourDgsConfig,
+    /// Splats that hardly move, left out of the field while training.
+    #[serde(default)]
+    pub still: StillConfig,
     /// The plan of the run.
     pub schedule: Schedule,
 }
@@ -54,5 +58,6 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let field = HexPlaneField::new("field", &config.field, aabb, scene.seed).map_err(wrong)?;
     let canonical = Canonical::new(&config.cloud, &mut config.schedule, scene)?;
     let no_anneal = Anneal { strength: 0.0, ..Anneal::default() };
-    Model::new(ENTRY.name, Deformed::new(canonical, field, no_anneal, scene.views), config.schedule)
+    let method = Deformed::new(canonical, field, no_anneal, scene.views).resting(config.still, scene);
+    Model::new(ENTRY.name, method, config.schedule)
 }

@@ -9,12 +9,13 @@ use gs_train::ablate::{Ablations, Part};
 use gs_train::canonical::Canonical;
 use gs_train::domains::{Domain, length, within};
 use gs_train::kernel::KernelKind;
-use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED};
+use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED, STILL};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::registry::{MethodEntry, parse_config};
 use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
 use gs_train::schedule::Schedule;
+use gs_train::still::training::StillConfig;
 use serde::{Deserialize, Serialize};
 
 /// Domains of the settings of hash grids, Fourier branch and smoothness.
@@ -43,7 +44,7 @@ pub(super) const DOMAINS: &[Domain] = &[
 pub const ENTRY: MethodEntry = MethodEntry {
     name: "grid4d",
     about: "Grid4D: a cloud moved by hash grids over space and time (Xu et al. 2024)",
-    defaults: &[BASE, CLOUD, DEFORMED, SETTINGS],
+    defaults: &[BASE, CLOUD, STILL, DEFORMED, SETTINGS],
     presets: PRESETS,
     domains: DOMAINS,
     needs_avatar: false,
@@ -104,6 +105,9 @@ pub struct Config {
     pub cloud: CloudConfig,
     /// The field; a `bound` of 0 is replaced by one that holds the first points.
     pub field: Grid4dConfig,
+    /// Splats that hardly move, left out of the field while training.
+    #[serde(default)]
+    pub still: StillConfig,
     /// The plan of the run.
     pub schedule: Schedule,
 }
@@ -125,7 +129,8 @@ pub(super) fn build_as(name: &'static str, table: &toml::Table, scene: &SceneInf
     let field = Grid4dField::new(&config.field, scene.seed).map_err(|e| wrong(e.to_string()))?;
     let canonical = Canonical::new(&config.cloud, &mut config.schedule, scene)?;
     let no_anneal = Anneal { strength: 0.0, ..Anneal::default() };
-    let method = Deformed::new(canonical, field, no_anneal, scene.views).regularised_from(config.smooth_from);
+    let method = Deformed::new(canonical, field, no_anneal, scene.views).resting(config.still, scene);
+    let method = method.regularised_from(config.smooth_from);
     Model::new(name, method, config.schedule)
 }
 

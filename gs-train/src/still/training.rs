@@ -1,0 +1,311 @@
+//! Splats that the field hardly moves, left out of it while training. An approximation, off where `pixels` is 0.
+//!
+//! ```text
+//! every `every` steps   low, high = range over `probes` times of field(x, t);  o = (low + high)/2 − x  (scales: a factor)
+//! still                 ½ ‖high − low‖ of the mean ≤ `pixels` on the screen of every view yet rendered, shape within `shape`
+//! a still splat         is rendered at x + o; its gradient goes straight to x
+//! every `turn` steps    it takes part in the field, which so goes on learning from it, a different part of them in each step
+//! ```
+//! The first share `from` of a stage and the last share `1 − until` leave out none: the field first learns what moves, and what the
+//! run ends with is the field's. A splat that no view has shown is still wherever the field moves it.
+
+use super::{fold, shape_change};
+use crate::method::{Buffer, BufferMut, Merge};
+use crate::step::StepCtx;
+use glam::{Vec3, Vec4};
+use gs_core::{Camera, Geometry, GeometryRef, Time};
+use gs_raster::ScreenStats;
+use serde::{Deserialize, Serialize};
+
+/// Which splats are left out of the field while training, and when.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StillConfig {
+    /// Farthest the field may move the centre of a still splat from its pose, pixels; 0: none is left out.
+    pub pixels: f32,
+    /// Largest relative change of its scales and rotation.
+    pub shape: f32,
+    /// Steps between two decisions; at least 1.
+    pub every: u32,
+    /// A still splat takes part in one of so many steps; at least 1.
+    pub turn: u32,
+    /// Times at which the field is asked; at least 2.
+    pub probes: u32,
+    /// Share of a stage before which all take part.
+    pub from: f32,
+    /// Share of a stage after which all take part.
+    pub until: f32,
+}
+
+impl Default for StillConfig {
+    /// None is left out.
+    fn default() -> Self {
+        Self { pixels: 0.0, shape: 0.01, every: 200, turn: 10, probes: 17, from: 0.15, until: 0.95 }
+    }
+}
+
+/// Values of a row of `still.pose`: whether it is still, shifts of mean and quaternion, factors of scales.
+const POSE: usize = 11;
+
+/// The still splats of a cloud under training.
+#[derive(Clone, Debug)]
+pub struct StillRows {
+    config: StillConfig,
+    /// The last training time: later ones are not probed.
+    last_time: f32,
+    /// `[n, 11]`.
+    pose: Vec<f32>,
+    /// `[n, 1]`: most pixels that a shift of one world unit made on the screen of a view.
+    reach: Vec<f32>,
+    /// The rows that take part in the field in this step, unless all do.
+    rows: Option<Vec<u32>>,
+    picked: Geometry,
+    moved: Geometry,
+}
+
+impl StillRows {
+    /// For `n` splats, none of them still. Training times end at `last_time`, normalised.
+    pub fn new(config: StillConfig, n: usize, last_time: f32) -> Self {
+        let n = if config.pixels > 0.0 { n } else { 0 };
+        let (pose, reach, (picked, moved)) = (vec![0.0; n * POSE], vec![0.0; n], Default::default());
+        Self { config, last_time, pose, reach, rows: None, picked, moved }
+    }
+
+    fn on(&self) -> bool {
+        self.config.pixels > 0.0
+    }
+
+    /// Whether each splat is still; empty where none is ever left out.
+    pub fn flags(&self) -> impl Iterator<Item = bool> {
+        self.pose.chunks_exact(POSE).map(|row| row[0] != 0.0)
+    }
+
+    /// Chooses the rows that take part in the field in this step.
+    pub fn begin_step(&mut self, at: &StepCtx) {
+        self.rows = None;
+        if !self.on() || !self.open(at) {
+            return;
+        }
+        let turn = self.config.turn.max(1);
+        let takes_part = |(row, still): (u32, bool)| (!still || (row + at.step).is_multiple_of(turn)).then_some(row);
+        let rows: Vec<u32> = (0..).zip(self.flags()).filter_map(takes_part).collect();
+        self.rows = (rows.len() * POSE < self.pose.len()).then_some(rows);
+    }
+
+    /// Writes all splats: those that take part as `field` moves these rows of `canonical`, the others in their pose.
+    pub fn forward(
+        &mut self,
+        canonical: GeometryRef<'_>,
+        field: impl FnOnce(GeometryRef<'_>, &mut Geometry),
+        out: &mut Geometry,
+    ) {
+        let Some(rows) = &self.rows else { return field(canonical, out) };
+        self.picked = canonical.pick(rows);
+        field(self.picked.view(), &mut self.moved);
+        out.resize(canonical.len());
+        for (i, pose) in self.pose.chunks_exact(POSE).enumerate() {
+            out.means[i] = canonical.means[i] + Vec3::from_slice(&pose[1..4]);
+            out.quats[i] = (Vec4::from(canonical.quats[i]) + Vec4::from_slice(&pose[4..8])).to_array();
+            out.scales[i] = canonical.scales[i] * Vec3::from_slice(&pose[8..11]);
+        }
+        out.scatter(&self.moved, rows);
+    }
+
+    /// The cotangents of all canonical splats, from those of [`Self::forward`]'s output: of the rows that take part through
+    /// `field` (canonical, cotangents of its output, cotangents to be added to), of the others straight.
+    pub fn backward(
+        &mut self,
+        canonical: GeometryRef<'_>,
+        d_out: GeometryRef<'_>,
+        field: impl FnOnce(GeometryRef<'_>, GeometryRef<'_>, &mut Geometry),
+        d_canonical: &mut Geometry,
+    ) {
+        d_canonical.reset(canonical.len());
+        let Some(rows) = &self.rows else { return field(canonical, d_out, d_canonical) };
+        let mut d_picked = Geometry::zeros(rows.len());
+        field(self.picked.view(), d_out.pick(rows).view(), &mut d_picked);
+        d_canonical.view_mut().copy_from(d_out);
+        for (scales, pose) in d_canonical.scales.iter_mut().zip(self.pose.chunks_exact(POSE)) {
+            *scales *= Vec3::from_slice(&pose[8..11]);
+        }
+        d_canonical.scatter(&d_picked, rows);
+    }
+
+    /// Notes how far on the screen of a view a shift of its splats goes.
+    /// ```text
+    /// pixels ≤ f / z · (1 + tan(fov/2)) · shift        for shifts ≪ z
+    /// ```
+    pub fn see(&mut self, moved: &Geometry, stats: &ScreenStats, camera: &Camera) {
+        if !self.on() {
+            return;
+        }
+        let (width, height) = (f64::from(camera.width), f64::from(camera.height));
+        let [x, y] = [camera.cx.max(width - camera.cx) / camera.fx, camera.cy.max(height - camera.cy) / camera.fy];
+        let focal = (camera.fx.max(camera.fy) * (1.0 + x.max(y))) as f32;
+        let (axis, shift) = (camera.rotation.row(2).as_vec3(), camera.translation.z as f32);
+        let visible = moved.means.iter().zip(&stats.radii).zip(&mut self.reach);
+        for ((mean, _), reach) in visible.filter(|((_, radius), _)| **radius > 0.0) {
+            let depth = axis.dot(*mean) + shift;
+            *reach = reach.max(if depth > 0.0 { focal / depth } else { f32::INFINITY });
+        }
+    }
+
+    /// Whether [`Self::decide`] is due at the end of this step.
+    pub fn due(&self, at: &StepCtx) -> bool {
+        self.on() && self.open(at) && at.step.is_multiple_of(self.config.every.max(1))
+    }
+
+    /// Decides anew which splats are still: `probe` writes what the field makes of all splats at a time. Returns their number.
+    pub fn decide(&mut self, canonical: GeometryRef<'_>, mut probe: impl FnMut(Time, &mut Geometry)) -> usize {
+        let gaps = self.config.probes.max(2) - 1;
+        let (mut low, mut high) = <(Geometry, Geometry)>::default();
+        for p in 0..=gaps {
+            let normalised = self.last_time * p as f32 / gaps as f32;
+            probe(Time { normalised, seconds: f64::from(normalised) }, &mut self.moved);
+            if p == 0 {
+                (low, high) = (self.moved.clone(), self.moved.clone());
+            }
+            fold(&mut low, &self.moved, f32::min);
+            fold(&mut high, &self.moved, f32::max);
+        }
+        let StillConfig { pixels, shape, .. } = self.config;
+        let mut count = 0;
+        for (i, row) in self.pose.chunks_exact_mut(POSE).enumerate() {
+            let [quat_low, quat_high] = [&low, &high].map(|g| Vec4::from(g.quats[i]));
+            let (mean, quat) = (0.5 * (low.means[i] + high.means[i]), 0.5 * (quat_low + quat_high));
+            let scales = 0.5 * (low.scales[i] + high.scales[i]);
+            let way = 0.5 * low.means[i].distance(high.means[i]) * self.reach[i];
+            let change = shape_change((high.scales[i], high.quats[i]), (scales, quat.to_array()));
+            let still = way <= pixels && change <= shape;
+            row[0] = f32::from(u8::from(still));
+            row[1..4].copy_from_slice(&(mean - canonical.means[i]).to_array());
+            row[4..8].copy_from_slice(&(quat - Vec4::from(canonical.quats[i])).to_array());
+            row[8..].copy_from_slice(&(scales / canonical.scales[i]).to_array());
+            count += usize::from(still);
+        }
+        count
+    }
+
+    /// The columns of the splats and their widths, for edits of rows; none where none is ever left out.
+    pub fn columns_mut(&mut self) -> Vec<(&mut Vec<f32>, usize)> {
+        if self.on() { vec![(&mut self.pose, POSE), (&mut self.reach, 1)] } else { Vec::new() }
+    }
+
+    /// What checkpoints keep.
+    pub fn buffers(&self, f: &mut dyn FnMut(Buffer<'_>)) {
+        if self.on() {
+            let [pose, reach] = [&self.pose, &self.reach];
+            f(Buffer { name: "still.pose", row_width: Some(POSE), merge: Merge::Keep, values: pose });
+            f(Buffer { name: "still.reach", row_width: Some(1), merge: Merge::Max, values: reach });
+        }
+    }
+
+    /// The same, to be restored.
+    pub fn buffers_mut(&mut self, f: &mut dyn FnMut(BufferMut<'_>)) {
+        if self.on() {
+            let [pose, reach] = [&mut self.pose, &mut self.reach];
+            f(BufferMut { name: "still.pose", row_width: Some(POSE), merge: Merge::Keep, values: pose });
+            f(BufferMut { name: "still.reach", row_width: Some(1), merge: Merge::Max, values: reach });
+        }
+    }
+
+    /// Whether splats may be left out in this step.
+    fn open(&self, at: &StepCtx) -> bool {
+        let share = at.stage_offset as f32 / at.stage_steps.max(1) as f32;
+        at.dynamic && !at.deform_only && (self.config.from..self.config.until).contains(&share)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Four splats that differ.
+    fn canonical() -> Geometry {
+        let row = |i: u8| Vec3::new(f32::from(i), 0.5, 2.0);
+        let quats = vec![[1.0, 0.0, 0.0, 0.0]; 4];
+        Geometry { means: (0..4).map(row).collect(), quats, scales: (1..5).map(row).collect() }
+    }
+
+    /// Row `i` swings by `i` hundredths of a world unit; scales double.
+    fn swing(t: Time, from: GeometryRef<'_>, to: &mut Geometry) {
+        *to = from.pick(&[0, 1, 2, 3]);
+        for (i, mean) in to.means.iter_mut().enumerate() {
+            mean.y += 0.01 * i as f32 * (2.0 * t.normalised - 1.0);
+        }
+        to.scales.iter_mut().for_each(|s| *s *= 2.0);
+    }
+
+    fn step(step: u32) -> StepCtx {
+        StepCtx { step, stage_steps: 100, stage_offset: 50, dynamic: true, ..StepCtx::default() }
+    }
+
+    /// Decided with a tolerance of 1.5 pixels where a world unit is 100 pixels long: rows 0 and 1 are still.
+    fn decided() -> StillRows {
+        let config = StillConfig { pixels: 1.5, turn: 7, ..StillConfig::default() };
+        let mut rows = StillRows::new(config, 4, 1.0);
+        rows.reach.fill(100.0);
+        let canonical = canonical();
+        assert_eq!(rows.decide(canonical.view(), |t, out| swing(t, canonical.view(), out)), 2);
+        rows
+    }
+
+    #[test]
+    fn what_moves_further_than_the_tolerance_takes_part_and_the_others_in_turn() {
+        let mut rows = decided();
+        assert!(rows.flags().eq([true, true, false, false]));
+        let mut takes_part = |at: StepCtx| {
+            rows.begin_step(&at);
+            rows.rows.clone()
+        };
+        assert_eq!(takes_part(step(8)), Some(vec![2, 3]));
+        assert_eq!(takes_part(step(7)), Some(vec![0, 2, 3]), "row 0 in every seventh step");
+        assert_eq!(takes_part(StepCtx { stage_offset: 5, ..step(8) }), None, "all at the beginning of a stage");
+        assert_eq!(takes_part(StepCtx { stage_offset: 97, ..step(8) }), None, "all at its end");
+        assert_eq!(takes_part(StepCtx { deform_only: true, ..step(8) }), None, "all where the cloud rests");
+    }
+
+    /// Everything is linear in the canonical splats, so a difference of outputs is a derivative.
+    #[test]
+    fn a_still_splat_keeps_its_pose_and_its_gradient_goes_straight() {
+        let mut rows = decided();
+        rows.begin_step(&step(8));
+        let (mut from, mut out, mut d) = (canonical(), Geometry::default(), Geometry::default());
+        let triple = |from: GeometryRef<'_>, to: &mut Geometry| {
+            *to = from.pick(&[0, 1]);
+            to.means.iter_mut().for_each(|m| *m *= 3.0);
+        };
+        from.means[0].x += 0.25;
+        rows.forward(from.view(), triple, &mut out);
+        assert_eq!((out.means[0], out.means[3]), (Vec3::new(0.25, 0.5, 2.0), 3.0 * from.means[3]));
+        assert_eq!(out.scales[1], 2.0 * from.scales[1], "a factor of scales");
+        assert_eq!(out.scales[2], from.scales[2], "row 2 is the field's");
+        let ones = Geometry { means: vec![Vec3::ONE; 4], quats: vec![[1.0; 4]; 4], scales: vec![Vec3::ONE; 4] };
+        let back = |_: GeometryRef<'_>, d: GeometryRef<'_>, to: &mut Geometry| {
+            to.means.iter_mut().zip(d.means).for_each(|(to, d)| *to += 3.0 * *d);
+            to.scales.copy_from_slice(d.scales);
+        };
+        rows.backward(from.view(), ones.view(), back, &mut d);
+        assert_eq!(d.means, [Vec3::ONE, Vec3::ONE, Vec3::splat(3.0), Vec3::splat(3.0)]);
+        assert_eq!(d.scales, [Vec3::splat(2.0), Vec3::splat(2.0), Vec3::ONE, Vec3::ONE]);
+        assert_eq!(d.quats, [[1.0; 4], [1.0; 4], [0.0; 4], [0.0; 4]]);
+    }
+
+    #[test]
+    fn a_view_tells_how_far_a_shift_goes_on_its_screen() {
+        let mut rows = StillRows::new(StillConfig { pixels: 1.0, ..StillConfig::default() }, 2, 1.0);
+        let camera = Camera::look_at(200, 160, 0.8, glam::DVec3::Z * 4.0, glam::DVec3::ZERO, glam::DVec3::Y).unwrap();
+        let moved = Geometry { means: vec![Vec3::new(0.3, 0.2, 0.1); 2], ..Geometry::zeros(2) };
+        let stats = ScreenStats { radii: vec![3.0, 0.0], ..ScreenStats::default() };
+        rows.see(&moved, &stats, &camera);
+        let pixel = |m: Vec3| {
+            let p = camera.rotation * m.as_dvec3() + camera.translation;
+            glam::DVec2::new(camera.fx * p.x / p.z, camera.fy * p.y / p.z)
+        };
+        for direction in [Vec3::X, Vec3::Y, Vec3::Z] {
+            let way = pixel(moved.means[0]).distance(pixel(moved.means[0] + 1e-3 * direction));
+            assert!(way <= 1e-3 * f64::from(rows.reach[0]) * 1.001, "{direction}: {way} pixels");
+        }
+        assert_eq!(rows.reach[1], 0.0, "not visible");
+    }
+}
