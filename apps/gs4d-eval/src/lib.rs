@@ -2,6 +2,7 @@
 //!
 //! * [`folders`], [`compare`], [`temporal`]: given images against ground truth, frame by frame and over time.
 //! * [`forecast`]: frames past the last training time; [`physics_check`]: learnt motion against known twists.
+//! * [`layers`]: colours per splat that are drawn in place of the scene's own.
 //! * [`segment`]: rigid parts; [`track`]: the path of one part; [`stage_motion`]: what each stage of a method moves.
 //! * [`export`]: plain splats per timestamp (`.ply`, `.splat`, `.spz`, `.glb`) and the PSNR this costs.
 //! * [`spread`]: mean and standard deviation of scores.
@@ -12,6 +13,7 @@ pub mod compare;
 pub mod export;
 pub mod folders;
 pub mod forecast;
+pub mod layers;
 pub mod particles;
 pub mod physics_check;
 pub mod segment;

@@ -9,6 +9,7 @@ use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::renderer::Renderer;
 use gs_train::timestamp::Timestamp;
+use gs4d_eval::layers;
 use gs4d_eval::segment::{self, parts};
 use gs4d_report::analysis::Histogram;
 use gs4d_report::{Legend, OverlayFigure, Ramp};
@@ -57,7 +58,7 @@ fn parts_figure(
     let has_twists = method.capabilities().particles.is_some();
     let labels = has_twists.then(|| segment::segment(method, &segment::Options::default()).ok()).flatten();
     let Some(labels) = labels.filter(|labels| labels.of.len() == splats.len()) else { return Ok(None) };
-    let colors = labels.of.iter().map(|l| segment::color(l + 1)).collect();
+    let colors = layers::part_colors(&labels);
     let kind = |p: &segment::Part| {
         let text = format!(
             "{}: {} splats, {:.1} % of the opacity, speed {:.3} units/span, spin {:.3} rad/span",

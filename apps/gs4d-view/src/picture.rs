@@ -10,15 +10,15 @@ use crate::question::{Look, MAX_PIXELS, Question, Save, Target};
 use crate::shot::{MIN_OPACITY, SelectionCache, Shot};
 use crate::stage::Stage;
 use crate::style::Style;
-use gs_core::{Camera, Color, Image, Splats};
+use gs_core::{Camera, Image, Splats};
 use gs_metrics::psnr;
-use gs_raster::{DeviceError, Frame, Rasterizer, Workspace, blend_counts, render_into};
+use gs_raster::{DeviceError, Frame, Rasterizer};
 use gs_train::device::Device;
 use gs_train::evaluate::clamped;
 use gs_train::palette::color_scale;
 use gs_train::renderer::{depth_colors, depth_span, file_stem, mean_depth};
 use gs_train::timestamp::Timestamp;
-use gs4d_eval::segment;
+use gs4d_eval::{layers, segment};
 use serde_json::{Value, json};
 use std::borrow::Cow;
 use std::time::Instant;
@@ -132,7 +132,7 @@ impl Renderer {
                 self.render(shot.splats()?, shot)?;
                 self.depth(header)
             }
-            "count" => self.count(shot, header)?,
+            "count" => count(shot, header)?,
             name => {
                 let splats = painted_splats(shot, name, header)?;
                 clamped(self.render(Cow::Owned(splats), shot)?)
@@ -212,20 +212,6 @@ impl Renderer {
         self.image(depth_colors(&depths, span))
     }
 
-    /// Number of splats blended into each pixel, counted on the CPU.
-    fn count(&mut self, shot: &Shot, header: &mut Value) -> Result<Image, String> {
-        let splats = shot.style.of(shot.splats()?.into_owned(), &shot.camera);
-        let mut workspace = Workspace::new();
-        render_into(&splats, &shot.camera, &shot.options(), &mut workspace, &mut self.frame);
-        let counts = blend_counts(&splats, &shot.options(), &mut workspace);
-        let counts: Vec<f32> = counts.into_iter().map(|c| c as f32).collect();
-        let max_count = counts.iter().copied().fold(1.0, f32::max);
-        // The histogram leaves out empty pixels.
-        let covered: Vec<f32> = counts.iter().copied().filter(|c| *c > 0.0).collect();
-        header["legend"] = scaled("count", "splats per pixel", [0.0, max_count], &covered);
-        Ok(self.image(counts.iter().flat_map(|c| color_scale(c / max_count)).collect()))
-    }
-
     /// Why the render is blank; `None` if it is not.
     fn blank(&self, splats: &Splats, camera: &Camera) -> Option<String> {
         if self.frame.alpha.iter().any(|&a| a > 0.0) {
@@ -242,38 +228,43 @@ impl Renderer {
     }
 }
 
-/// All splats in the colours of a layer: `segment`, a quantity or an overlay of the method. Legend and note go to `header`.
+/// Number of splats blended into each pixel.
+fn count(shot: &Shot, header: &mut Value) -> Result<Image, String> {
+    let splats = shot.style.of(shot.splats()?.into_owned(), &shot.camera);
+    let counts = layers::counts(&splats, &shot.camera, &shot.options());
+    let max_count = counts.iter().copied().fold(1.0, f32::max);
+    // The histogram leaves out empty pixels.
+    let covered: Vec<f32> = counts.iter().copied().filter(|c| *c > 0.0).collect();
+    header["legend"] = scaled("count", "splats per pixel", [0.0, max_count], &covered);
+    let [width, height] = [shot.camera.width as usize, shot.camera.height as usize];
+    let data = counts.iter().flat_map(|c| color_scale(c / max_count)).collect();
+    Ok(Image { width, height, channels: 3, data })
+}
+
+/// All splats in the colours of a layer: `segment`, a scalar or an overlay of the method. Legend and note go to `header`.
 fn painted_splats(shot: &Shot, name: &str, header: &mut Value) -> Result<Splats, String> {
-    let colors = if name == "segment" { parts(shot, header)? } else { overlay(shot, name, header)? };
-    let mut splats = shot.all_splats()?.into_owned();
-    if colors.len() != splats.len() {
-        return Err(format!("`{name}` has {} values for {} splats", colors.len(), splats.len()));
-    }
-    splats.color = Color::Rgb(colors);
-    Ok(splats)
+    let colors = if name == layers::PARTS { parts(shot, header)? } else { overlay(shot, name, header)? };
+    layers::painted(shot.all_splats()?.into_owned(), name, colors).map_err(|e| e.to_string())
 }
 
 /// Rigid parts, one colour each.
 fn parts(shot: &Shot, header: &mut Value) -> Result<Vec<[f32; 3]>, String> {
     let parts = shot.scene.parts(shot.show.observed())?;
-    let color = |part: u32| segment::color(part + 1);
     let words = format!("rigid parts: {}, bars are their splats", parts.k);
-    header["legend"] = named("segment", &words, &parts.of, parts.k, color);
-    Ok(parts.of.iter().map(|part| color(*part)).collect())
+    header["legend"] = named(layers::PARTS, &words, &parts.of, parts.k, |part| segment::color(part + 1));
+    Ok(layers::part_colors(parts))
 }
 
-/// A quantity or overlay of the method.
+/// A scalar or overlay of the method.
 fn overlay(shot: &Shot, name: &str, header: &mut Value) -> Result<Vec<[f32; 3]>, String> {
-    let quantities = shot.scene.quantities(shot.time)?;
-    if let Some(quantity) = quantities.iter().find(|q| q.name == name) {
-        header["legend"] = scaled(name, quantity.unit, quantity.span(), &quantity.values);
-        return Ok(quantity.overlay().colors);
-    }
     let method = shot.scene.as_method().ok_or("a splat file has no such layer")?;
-    let overlays = method.overlays(&Timestamp::normalised(shot.time)).map_err(|e| e.to_string())?;
-    let found = overlays.into_iter().find(|o| o.name == name).ok_or("there is no such layer")?;
-    header["note"] = json!(found.meaning);
-    Ok(found.colors)
+    let found = layers::find(method, name, &Timestamp::normalised(shot.time)).map_err(|e| e.to_string())?;
+    let layers::Layer { overlay, quantity } = found.ok_or("there is no such layer")?;
+    match quantity {
+        Some(q) => header["legend"] = scaled(name, q.unit, q.span(), &q.values),
+        None => header["note"] = json!(overlay.meaning),
+    }
+    Ok(overlay.colors)
 }
 
 /// The ground-truth image of a view over the background of a shot, at the size of its camera, and its normalised time.

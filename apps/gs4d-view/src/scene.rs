@@ -6,7 +6,8 @@ use gs_train::capabilities::Quantity;
 use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::timestamp::Timestamp;
-use gs4d_eval::segment::{Labels, Options, segment};
+use gs4d_eval::layers;
+use gs4d_eval::segment::Labels;
 use std::borrow::Cow;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -101,15 +102,14 @@ impl Scene {
     pub(crate) fn parts(&self, observed: f32) -> Result<&Labels, String> {
         let compute = || {
             let method = self.as_method().ok_or("a splat file does not move")?;
-            segment(method, &Options { observed, ..Options::default() }).map_err(|e| e.to_string())
+            layers::parts(method, observed).map_err(|e| e.to_string())
         };
         self.parts.get_or_init(compute).as_ref().map_err(Clone::clone)
     }
 
-    /// Names of the overlays of the method; empty for static splats.
-    pub(crate) fn overlays(&self, time: f32) -> Vec<&'static str> {
-        let overlays = self.as_method().and_then(|m| m.overlays(&Timestamp::normalised(time)).ok());
-        overlays.into_iter().flatten().map(|o| o.name).collect()
+    /// Names of the layers of the method, parts among them if it is `moving`; empty for static splats.
+    pub(crate) fn layers(&self, moving: bool, time: f32) -> Vec<&'static str> {
+        self.as_method().map_or(Vec::new(), |m| layers::names(m, moving, &Timestamp::normalised(time)))
     }
 }
 

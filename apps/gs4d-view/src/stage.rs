@@ -173,10 +173,8 @@ impl Show {
         if self.images.is_some() && !self.views.is_empty() {
             layers.push("truth");
         }
-        if self.moving() {
-            layers.push("segment");
-        }
-        layers.extend(self.newest().overlays(self.times.get(self.times.len() / 2).copied().unwrap_or(0.0)));
+        let middle = self.times.get(self.times.len() / 2).copied().unwrap_or(0.0);
+        layers.extend(self.newest().layers(self.moving(), middle));
         let steps = self.checkpoints.as_ref().map(Checkpoints::steps).unwrap_or_default();
         json!({"layers": layers, "checkpoints": steps})
     }

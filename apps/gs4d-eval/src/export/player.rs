@@ -1,7 +1,7 @@
 //! A trained scene as a clip that plays in a page: its frames, its layers, its score.
 
 use super::{Baker, ExportError};
-use crate::segment::{Options, color, segment};
+use crate::layers;
 use gs_core::{Camera, Splats, cast};
 use gs_data::{Dataset, Split};
 use gs_train::evaluate::{EvalError, EvalReport, Scoring, evaluate_splats};
@@ -38,13 +38,13 @@ impl Baker<'_> {
             tick(k + 1);
         }
         let frames = Frames::new(times.to_vec(), splats)?;
-        let layers = layers(self.method, &frames, times[times.len() / 2])?;
+        let layers = clip_layers(self.method, &frames, times[times.len() / 2])?;
         Ok(Clip::fit(&frames, &self.cameras, tolerance).with_layers(layers))
     }
 }
 
 /// Lengths of paths, rigid parts where there are any, and what the method offers at a time in the middle.
-fn layers(method: &Model, frames: &Frames, time: f32) -> Result<Vec<Layer>, ExportError> {
+fn clip_layers(method: &Model, frames: &Frames, time: f32) -> Result<Vec<Layer>, ExportError> {
     let at = Timestamp::normalised(time);
     let layer = |name: &str, meaning: String, colors: &[[f32; 3]]| {
         let byte = |v: f32| cast::to_u8(v.clamp(0.0, 1.0) * 255.0 + 0.5);
@@ -56,14 +56,12 @@ fn layers(method: &Model, frames: &Frames, time: f32) -> Result<Vec<Layer>, Expo
         let (colors, most) = paths(frames);
         let meaning = format!("length of the path: dark blue rests, pale yellow {most:.3} world units or more");
         out.push(Layer { name: "path".to_owned(), meaning, colors });
-        if let Ok(labels) = segment(method, &Options::default()) {
-            let colors: Vec<[f32; 3]> = labels.of.iter().map(|&part| color(part + 1)).collect();
-            out.push(layer("parts", format!("rigid parts: {}", labels.k), &colors));
+        if let Ok(labels) = layers::parts(method, 1.0) {
+            let meaning = format!("rigid parts: {}", labels.k);
+            out.push(layer("parts", meaning, &layers::part_colors(&labels)));
         }
     }
-    let quantities = method.quantities(&at)?;
-    let overlays = method.overlays(&at)?;
-    for overlay in quantities.iter().map(gs_train::capabilities::Quantity::overlay).chain(overlays) {
+    for layers::Layer { overlay, .. } in layers::all(method, &at)? {
         out.push(layer(overlay.name, overlay.meaning.to_owned(), &overlay.colors));
     }
     Ok(out)

@@ -1,5 +1,7 @@
 //! `gs4d render`: renders a splat file or a run from given cameras or on an orbit, as images or video.
 
+mod mode;
+
 use crate::answer::Answer;
 use crate::device::DeviceFlag;
 use crate::encoder::Encoder;
@@ -14,16 +16,18 @@ use gs_core::io::images::save_png;
 use gs_core::io::{Limits, exr, load_splats, npy, write_file, y4m};
 use gs_core::{Camera, Image, Splats};
 use gs_data::{Dataset, View};
-use gs_raster::{Frame, RasterOptions};
+use gs_raster::RasterOptions;
 use gs_train::capabilities::{FreezeOptions, FreezeReport};
 use gs_train::method::MethodError;
 use gs_train::ranks::Share;
-use gs_train::renderer::{Renderer, depth_colors, depth_span, file_stem, mean_depth};
+use gs_train::renderer::{Renderer, file_stem};
 use gs_train::timestamp::Timestamp;
 use gs4d_run::OpenRun;
 use gs4d_run::flight::Flight;
 use gs4d_run::orbit::Orbit;
-use serde_json::json;
+use mode::{Kind, Mode};
+use serde_json::{Value, json};
+use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -62,12 +66,14 @@ pub struct Render {
     /// Leave splats of a run at rest that move less than this on the rendered cameras over times 0 to 1, pixels; faster, not exact.
     #[arg(long, value_name = "PIXELS", allow_hyphen_values = true, value_parser = parse::not_negative)]
     static_within: Option<f64>,
-    /// What is rendered: colours; the mean depth of what covers a pixel by more than half, world units, 0 elsewhere; or alpha. PNG and videos show
-    /// depth from dark (near) to bright (far), each image over its own span.
-    #[arg(long, value_enum, default_value_t = Mode::Color)]
-    mode: Mode,
+    /// What is rendered: color; depth, the mean of what covers a pixel by more than half, world units, 0 elsewhere; alpha; count, of the splats
+    /// that are blended; or a layer of the run's method, as the viewer shows it: segment (rigid parts), motion, velocity, gate, ... A wrong name is
+    /// answered with those there are. PNG and videos show depth, counts and scalars from dark (near, least) to bright, each image over its own
+    /// span unless the scalar has one.
+    #[arg(long, value_name = "LAYER", default_value = "color")]
+    mode: String,
     /// PNG: 8 bit RGB over the background. EXR, NPY: float32 RGB over the background, then alpha (premultiplied over black).
-    /// Depth and alpha are one channel of float32 there.
+    /// Depth, alpha and counts are one channel of float32 there; layers are colours.
     /// Y4M: one uncompressed video, video.y4m. MP4: video.mp4 (H.264), by ffmpeg, which must be installed.
     #[arg(long, value_enum, default_value_t = Format::Png)]
     format: Format,
@@ -93,38 +99,6 @@ enum Format {
     Npy,
     Y4m,
     Mp4,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Mode {
-    Color,
-    Depth,
-    Alpha,
-}
-
-impl Mode {
-    /// The image to look at, RGB in 0..1.
-    fn shown(self, frame: &Frame) -> Image {
-        let data = match self {
-            Mode::Color => return frame.rgb.clone(),
-            Mode::Depth => {
-                let depths = mean_depth(frame);
-                depth_colors(&depths, depth_span(&depths))
-            }
-            Mode::Alpha => frame.alpha.iter().flat_map(|&a| [a; 3]).collect(),
-        };
-        Image { width: frame.rgb.width, height: frame.rgb.height, channels: 3, data }
-    }
-
-    /// The values: RGBA of colours, one channel of the others.
-    fn values(self, frame: &Frame) -> Image {
-        let data = match self {
-            Mode::Color => return rgba(frame),
-            Mode::Depth => mean_depth(frame),
-            Mode::Alpha => frame.alpha.clone(),
-        };
-        Image { width: frame.rgb.width, height: frame.rgb.height, channels: 1, data }
-    }
 }
 
 /// Frames of an orbit or path without `--times`.
@@ -175,16 +149,22 @@ impl Scene {
         }
     }
 
-    fn render<'a>(&self, renderer: &'a mut Renderer, camera: &Camera, time: f32) -> Result<&'a Frame, MethodError> {
+    /// The splats at a time, as a camera sees them.
+    fn splats(&self, camera: &Camera, time: f32) -> Result<Cow<'_, Splats>, MethodError> {
         Ok(match self {
-            Scene::File(splats) => renderer.render(splats.view(), camera)?,
+            Scene::File(splats) => Cow::Borrowed(splats),
             Scene::Run(run) => {
                 let splats = run.loaded.model.splats(&Timestamp::normalised(time), camera)?;
-                splats.check().map_err(|e| MethodError::Render(format!("the scene at time {time}: {e}")))?;
-                renderer.render(&splats, camera)?
+                checked(&splats, time)?;
+                Cow::Owned(splats)
             }
         })
     }
+}
+
+/// Fails unless all values of the splats at a time are in their domains.
+fn checked(splats: &Splats, time: f32) -> Result<(), MethodError> {
+    splats.check().map_err(|e| MethodError::Render(format!("the scene at time {time}: {e}")))
 }
 
 /// The splats of a file.
@@ -209,15 +189,16 @@ impl Render {
             .iter()
             .try_for_each(|c| memory.admit_picture([c.camera.width, c.camera.height], scene.splat_count()))?;
         let mut renderer = Renderer::on(&device, self.options(&scene)?)?;
+        let (mode, layer) = self.mode(&scene, self.time_of(cameras.first().and_then(|c| c.time)), global)?;
         let share = &global.share;
         let mut progress = Progress::new(share.run(cameras.len()).len() as u64, "images", global.quiet);
         let mut done = 0;
         let mut render = |k: usize| {
             let NamedCamera { name, camera, time } = &cameras[k];
-            let frame = scene.render(&mut renderer, camera, self.time_of(*time))?.clone();
+            let image = mode.image(&scene, &mut renderer, (camera, self.time_of(*time)), self.format.kind())?;
             done += 1;
             progress.at(done, || name.clone());
-            Ok(frame)
+            Ok(image)
         };
         let paths = if matches!(self.format, Format::Y4m | Format::Mp4) {
             vec![self.video(&cameras, share, &mut render)?]
@@ -232,7 +213,15 @@ impl Render {
         progress.finish();
         let files: Vec<String> = paths.iter().map(|p| p.display().to_string()).collect();
         let text: String = files.iter().map(|f| format!("{f}\n")).collect();
-        Ok(Answer::new(text, json!({"files": files, "background": renderer.options.background})))
+        Ok(Answer::new(text, json!({"files": files, "background": renderer.options.background, "layer": layer})))
+    }
+
+    /// What is drawn, and what the colours of a layer say, as JSON; `time` is that of the first image.
+    fn mode<'a>(&self, scene: &'a Scene, time: f32, global: &Global) -> Result<(Mode<'a>, Option<Value>), Failure> {
+        let mode = Mode::of(&self.mode, scene, time)?;
+        let Some((text, json)) = mode.legend(time)? else { return Ok((mode, None)) };
+        global.say(text);
+        Ok((mode, Some(json)))
     }
 
     /// A camera with the size and field of view that were asked for; the principal point keeps its place in the image.
@@ -337,7 +326,7 @@ impl Render {
         &self,
         cameras: &[NamedCamera],
         share: &Share,
-        render: &mut dyn FnMut(usize) -> Result<Frame, MethodError>,
+        render: &mut dyn FnMut(usize) -> Result<Image, Failure>,
     ) -> Result<PathBuf, Failure> {
         let size = |c: &NamedCamera| (c.camera.width, c.camera.height);
         let Some(first) = cameras.first().map(size) else { return Err(Failure::usage("there is no camera")) };
@@ -380,14 +369,13 @@ impl Render {
         &self,
         count: usize,
         share: &Share,
-        render: &mut dyn FnMut(usize) -> Result<Frame, MethodError>,
+        render: &mut dyn FnMut(usize) -> Result<Image, Failure>,
         write: &mut dyn FnMut(&[u8]) -> Result<(), Failure>,
     ) -> Result<(), Failure> {
         for round in (0..count).step_by(share.size()) {
             let mut bytes = Vec::new();
             if let Some(k) = (round..count).nth(share.rank()) {
-                y4m::write_frame(&self.mode.shown(&render(k)?), &mut bytes)
-                    .map_err(|e| Failure::io("write a frame", &self.out, &e))?;
+                y4m::write_frame(&render(k)?, &mut bytes).map_err(|e| Failure::io("write a frame", &self.out, &e))?;
             }
             share.gather(bytes)?.iter().try_for_each(|frame| write(frame))?;
         }
@@ -426,22 +414,26 @@ impl Render {
         Ok(paths)
     }
 
-    fn save(&self, frame: &Frame, path: &Path) -> Result<(), Failure> {
+    fn save(&self, image: &Image, path: &Path) -> Result<(), Failure> {
         match self.format {
-            Format::Png => save_png(path, &self.mode.shown(frame), self.force)?,
-            Format::Exr => exr::save(path, &self.mode.values(frame), self.force)?,
-            Format::Npy => write_file(path, self.force, |out| npy::write_image(&self.mode.values(frame), out))?,
+            Format::Png => save_png(path, image, self.force)?,
+            Format::Exr => exr::save(path, image, self.force)?,
+            Format::Npy => write_file(path, self.force, |out| npy::write_image(image, out))?,
             Format::Y4m | Format::Mp4 => write_file(path, self.force, |out| {
-                y4m::write_header(frame.rgb.width, frame.rgb.height, self.fps, out)?;
-                y4m::write_frame(&self.mode.shown(frame), out)
+                y4m::write_header(image.width, image.height, self.fps, out)?;
+                y4m::write_frame(image, out)
             })?,
         }
         Ok(())
     }
 }
 
-fn rgba(frame: &Frame) -> Image {
-    let pixels = frame.rgb.data.chunks_exact(3).zip(&frame.alpha);
-    let data = pixels.flat_map(|(rgb, &a)| [rgb[0], rgb[1], rgb[2], a]).collect();
-    Image { width: frame.rgb.width, height: frame.rgb.height, channels: 4, data }
+impl Format {
+    /// Which image its files hold.
+    fn kind(self) -> Kind {
+        match self {
+            Format::Exr | Format::Npy => Kind::Values,
+            Format::Png | Format::Y4m | Format::Mp4 => Kind::Shown,
+        }
+    }
 }

@@ -62,6 +62,51 @@ fn depth_and_alpha_are_values_and_pictures() {
     assert!(png.data.chunks_exact(3).zip(&alpha).all(|(p, a)| (p[0] - a).abs() <= 0.5 / 255.0 + 1e-6 && p[0] == p[2]));
 }
 
+/// Values of an image in numpy's format.
+fn array(scene: &Path, camera: &Path, mode: &str, out: &Path) -> npy::NpyArray {
+    let more = ["--mode", mode, "--format", "npy", "-o", text(out)];
+    good(&[&["render", text(scene), "--camera", text(camera)][..], &more].concat());
+    npy::read(&fs::read(out.join("front.npy")).unwrap(), "npy", &Limits::default()).unwrap()
+}
+
+#[test]
+fn layers_of_a_method_are_drawn_as_the_viewer_draws_them() {
+    let dir = tempfile::tempdir().unwrap();
+    let camera = camera(dir.path(), &CAMERA.replace("[0,0,1,0]", "[0,0,1,4]"));
+    let values = |mode: &str| array(run(), &camera, mode, &dir.path().join(mode));
+    let (color, motion, parts, counts) = (values("color"), values("motion"), values("segment"), values("count"));
+    assert_eq!([&color.shape, &motion.shape, &parts.shape], [&[16, 20, 4]; 3]);
+    let (color, motion, parts) = (color.to_f32(), motion.to_f32(), parts.to_f32());
+    for (layer, name) in [(&motion, "motion"), (&parts, "segment")] {
+        let pixels = || color.chunks_exact(4).zip(layer.chunks_exact(4));
+        assert!(pixels().all(|(c, l)| (c[3] - l[3]).abs() < 1e-5), "{name}: the same splats cover the same pixels");
+        assert!(pixels().any(|(c, l)| c[3] > 0.5 && c[..3] != l[..3]), "{name}: in colours of its own");
+    }
+    assert_eq!(counts.shape, [16, 20, 1]);
+    let counts = counts.to_f32();
+    assert!(counts.iter().zip(color.chunks_exact(4)).all(|(n, c)| (*n > 0.0) == (c[3] > 0.0) && n.fract() == 0.0));
+    let shown = ["render", text(run()), "--camera", text(&camera), "-o", text(dir.path()), "--json", "--mode"];
+    let json = good(&[&shown[..], &["motion"]].concat()).json();
+    assert!(json["layer"]["name"] == "motion" && json["layer"]["meaning"].as_str().unwrap().contains("red"), "{json}");
+    let png = images::load_image(&dir.path().join("front.png"), &Limits::default()).unwrap();
+    assert!(png.data.iter().zip(motion.chunks_exact(4).flat_map(|p| &p[..3])).all(|(a, b)| (a - b).abs() < 0.003));
+}
+
+#[test]
+fn an_unknown_layer_is_answered_with_those_there_are() {
+    let dir = tempfile::tempdir().unwrap();
+    let camera = camera(dir.path(), CAMERA);
+    let out = dir.path().join("out");
+    let call = |scene: &Path, mode: &str| {
+        gs4d(&["render", text(scene), "--camera", text(&camera), "--mode", mode, "-o", text(&out)])
+    };
+    call(run(), "velocity").fails(2, &["--mode velocity", "color, depth, alpha, count, segment, motion"]);
+    call(ply(), "motion").fails(2, &["a splat file", "color, depth, alpha, count"]);
+    assert!(!out.exists(), "nothing is made");
+    let counts = array(ply(), &camera, "count", &out).to_f32();
+    assert_eq!((counts[0], counts[8 * 20 + 10]), (0.0, 1.0), "one splat, in the middle");
+}
+
 #[test]
 fn nothing_is_overwritten_unasked() {
     let dir = tempfile::tempdir().unwrap();
