@@ -39,11 +39,10 @@ struct Traits {
     thumb: Vec<f32>,
 }
 
-/// What identifies an image: its hash and its thumbnail.
+/// What identifies an image: its hash.
 pub(super) struct Fingerprint<'a> {
     pub(super) view: &'a View,
     pub(super) hash: u64,
-    pub(super) thumb: &'a [f32],
 }
 
 /// An image that was read, or the error.
@@ -61,6 +60,8 @@ pub(super) struct ImageChecks {
     masks: [Vec<String>; 2],
     masked: usize,
     largest: u32,
+    whole: bool,
+    max_image_mib: Option<u32>,
 }
 
 /// Reads the images and masks of a sample; `max_image_mib` bounds the memory for decoding one.
@@ -77,7 +78,8 @@ pub(super) fn check(data: &Dataset, sample: &Sample, max_image_mib: Option<u32>)
     let named = |empty: bool| masks.iter().filter(|m| m.1 == Some(empty)).map(|m| m.0.clone()).collect();
     let views = || Split::ALL.iter().flat_map(|&s| data.views(s));
     let largest = views().map(|v| v.camera.width.max(v.camera.height)).max().unwrap_or(1);
-    ImageChecks { seen, masks: [named(false), named(true)], masked: masks.len(), largest }
+    let whole = seen.len() == sample.total;
+    ImageChecks { seen, masks: [named(false), named(true)], masked: masks.len(), largest, whole, max_image_mib }
 }
 
 /// Name of a masked view, and whether its mask is zero everywhere (`Some(true)`), cannot be read (`Some(false)`) or is right
@@ -94,8 +96,7 @@ fn mask(v: &View, images: &ImageCache) -> Option<(String, Option<bool>)> {
 
 fn traits(image: &ImageU8) -> Traits {
     let (w, h) = (image.width, image.height);
-    let grey: Vec<f64> =
-        image.data.as_chunks().0.iter().map(|&[r, g, b, _]| f64::from(luma([r, g, b].map(f32::from)))).collect();
+    let grey = grey(image);
     let solid: Vec<bool> = image.data.chunks_exact(4).map(|p| p[3] > 127).collect();
     let inside = || grey.iter().zip(&solid).filter(|(_, s)| **s).map(|(g, _)| *g);
     let count = inside().count().max(1) as f64;
@@ -131,6 +132,11 @@ fn traits(image: &ImageU8) -> Traits {
     }
 }
 
+/// Luma of the pixels of an image, 0..255.
+fn grey(image: &ImageU8) -> Vec<f64> {
+    image.data.as_chunks().0.iter().map(|&[r, g, b, _]| f64::from(luma([r, g, b].map(f32::from)))).collect()
+}
+
 /// Mean luma of the cells of an image, over black.
 fn thumbnail(image: &ImageU8, grey: &[f64]) -> Vec<f32> {
     let (mut sums, mut counts) = (vec![0.0f64; THUMB * THUMB], vec![0.0f64; THUMB * THUMB]);
@@ -158,7 +164,25 @@ impl ImageChecks {
 
     /// The fingerprints of all readable images.
     pub(super) fn fingerprints<'a>(&'a self, data: &'a Dataset) -> Vec<Fingerprint<'a>> {
-        self.good(data).map(|(view, _, t)| Fingerprint { view, hash: t.hash, thumb: &t.thumb }).collect()
+        self.good(data).map(|(view, _, t)| Fingerprint { view, hash: t.hash }).collect()
+    }
+
+    /// Whether every image was read.
+    pub(super) fn is_whole(&self) -> bool {
+        self.whole
+    }
+
+    /// Mean luma over black of [`THUMB`]² cells of the images of these views; those that were not read before are read. `None` of an
+    /// image that cannot be.
+    pub(super) fn thumbnails(&self, data: &Dataset, views: &[(Split, usize)]) -> Vec<Option<Vec<f32>>> {
+        let known: BTreeMap<(Split, usize), &CheckedImage> =
+            self.seen.iter().map(|s| ((s.split, s.index), s)).collect();
+        let images = ImageCache::new(0, 1.0).with_max_image_mib(self.max_image_mib);
+        let of = |&(split, index): &(Split, usize)| match known.get(&(split, index)) {
+            Some(seen) => seen.traits.as_ref().ok().map(|t| t.thumb.clone()),
+            None => images.get(&data.views(split)[index]).ok().map(|i| thumbnail(&i, &grey(&i))),
+        };
+        views.par_iter().map(of).collect()
     }
 
     fn good<'s, 'd>(&'s self, data: &'d Dataset) -> impl Iterator<Item = (&'d View, Split, &'s Traits)> {

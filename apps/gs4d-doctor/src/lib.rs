@@ -16,7 +16,7 @@
 //! |---|---|
 //! | `sample` | which of many images are read |
 //! | `images` | files: readable, blank, duplicate, exposure, sharpness, alpha, masks |
-//! | `clock` | times: source, gaps, two images of one camera at one time, cameras whose clock is off |
+//! | `clock`, `in_step` | times: source, gaps, two images of one camera at one time, cameras whose clock is off |
 //! | `poses` | cameras: epipolar error of matched corners, under the poses and under other conventions |
 //! | `silhouettes` | cameras: the visual hull of alpha or masks must cover every silhouette |
 //! | `corner_fit`, `hull_fit` | single views: another pose that explains the image far better, and which faults would be found |
@@ -34,6 +34,7 @@ mod features;
 mod figures;
 mod hull_fit;
 mod images;
+mod in_step;
 mod matching;
 mod page;
 mod pose_readings;

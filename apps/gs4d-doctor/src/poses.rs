@@ -85,8 +85,20 @@ pub(super) fn check(
     findings.extend(doubt);
     findings.extend(singles.finding(&flagged));
     findings.push(singles.power(&matches));
+    findings.extend(axes(&matches, silhouettes));
     shown.extend(matches.figure(None, small_images));
     (findings, shown)
+}
+
+/// A note where camera axes of the other convention would not be told from right ones.
+fn axes(matches: &Matches<'_>, silhouettes: Option<&Silhouettes>) -> Option<Finding> {
+    if matches.tells_axes() || silhouettes.is_some_and(Silhouettes::tells_axes) {
+        return None;
+    }
+    let what = "whether camera axes are those of the convention that the layout has cannot be told from these images: too few \
+                matched corners agree with any poses, and no silhouettes carve a hull";
+    let fix = "look at a short training: under wrong axes (y and z the other way) nothing of the scene appears";
+    Some(Finding::new("poses", "poses.axes", Verdict::Note, what).fix(fix))
 }
 
 /// What is held against single views.
@@ -309,6 +321,12 @@ impl Matches<'_> {
             }
         }
         won - lost > FOCAL_DEVIATIONS * f64::sqrt(won + lost) && won + kept > FOCAL_GAIN * (lost + kept)
+    }
+
+    /// Whether camera axes of the other convention would be told as such, the poses being right.
+    fn tells_axes(&self) -> bool {
+        let [right, flipped] = [self.share(&|c| c.clone()), self.share(&|c| PoseReading::Flipped.camera(c))];
+        self.count() >= MIN_PAIRS && right >= MIN_OTHER_SHARE && right > READING_GAIN * flipped
     }
 
     /// Whether focal lengths a fifth too long or too short would be found.

@@ -15,6 +15,8 @@ const AGREEMENT: f64 = 0.8;
 /// Mean covered share of silhouettes: above the first poses are good, below the second they are wrong.
 const GOOD_SHARE: f64 = 0.8;
 const BAD_SHARE: f64 = 0.5;
+/// Another reading of the poses must cover so much more.
+const MIN_READING_GAIN: f64 = 0.25;
 /// The visual hull and its fit to each silhouette.
 pub(super) struct Silhouettes {
     /// The hull's cells and the silhouettes that carved them.
@@ -25,6 +27,8 @@ pub(super) struct Silhouettes {
     fits: Vec<f64>,
     /// The reading of the poses that covers more, if there is one, and the share it covers.
     better: Option<(PoseReading, f64)>,
+    /// The mean share that would be covered if the camera axes were those of the other convention.
+    flipped: f64,
 }
 
 /// Carves the training views; none where they have neither alpha nor masks.
@@ -39,16 +43,18 @@ pub(super) fn check(data: &Dataset) -> Option<Silhouettes> {
     }
     let fits = covered(&carved);
     let now = mean(&fits);
+    let under = |s: PoseReading| carve(data, AGREEMENT, |c| s.camera(c)).ok().flatten();
+    let share = |s: PoseReading| under(s).map_or(0.0, |c| mean(&covered(&c)));
     let mut better: Option<(PoseReading, f64)> = None;
     if now < GOOD_SHARE {
-        for s in PoseReading::ALL {
-            let other = carve(data, AGREEMENT, |c| s.camera(c)).ok().flatten().map_or(0.0, |c| mean(&covered(&c)));
+        for (s, other) in PoseReading::ALL.map(|s| (s, share(s))) {
             if other > better.map_or(now.max(BAD_SHARE), |b| b.1) {
                 better = Some((s, other));
             }
         }
     }
-    Some(Silhouettes { carved, shapes, fits, better: better.filter(|b| b.1 > now + 0.25) })
+    let better = better.filter(|b| b.1 > now + MIN_READING_GAIN);
+    Some(Silhouettes { carved, shapes, fits, better, flipped: share(PoseReading::Flipped) })
 }
 
 /// The share of each silhouette that the projected hull covers; 1 for an empty one.
@@ -81,6 +87,12 @@ impl Silhouettes {
         let fix = "compare the figures of the hull with the images; check alpha and the units of the poses, or set \
                    the box: gs4d init DATA --bound SIDE";
         vec![Finding::new("poses", "poses.silhouettes", verdict, what).fix(fix)]
+    }
+
+    /// Whether camera axes of the other convention would be told as such, the poses being right.
+    pub(super) fn tells_axes(&self) -> bool {
+        let right = mean(&self.fits);
+        self.flipped < GOOD_SHARE && right > BAD_SHARE && right > self.flipped + MIN_READING_GAIN
     }
 }
 

@@ -8,7 +8,7 @@ use gs_data::DataOptions;
 use gs4d_doctor::{CheckOptions, Checkup, CostOptions, Finding, Verdict, apply, examine_and_tell, is_page, page};
 use gs4d_run::settings::{Request, resolve};
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Rounds of settings that are written and checked again.
 const MAX_FIXES: usize = 4;
@@ -40,9 +40,9 @@ pub struct Doctor {
     /// Memory a run may take, MiB [default: what is free].
     #[arg(long, value_name = "MIB")]
     max_mem: Option<f64>,
-    /// The page with images.
-    #[arg(short, long, value_name = "FILE", default_value = "doctor.html")]
-    out: PathBuf,
+    /// The page with images [default: doctor.html, which is left out where it cannot be written].
+    #[arg(short, long, value_name = "FILE")]
+    out: Option<PathBuf>,
     /// Write the settings that findings come with into scene.toml of the folder, and check again.
     #[arg(long)]
     fix: bool,
@@ -66,7 +66,7 @@ impl Doctor {
             all: false,
             no_cost: true,
             max_mem: None,
-            out,
+            out: Some(out),
             fix: false,
             force: false,
             strict: false,
@@ -98,17 +98,27 @@ impl Doctor {
             checkup = self.examine(global)?;
         }
         let html = page(&checkup).map_err(|e| Failure::new(Class::Internal, "report", e.to_string()))?;
-        let saved = write_file(&self.out, true, |out| out.write_all(html.as_bytes()));
-        let place = self.out.display().to_string();
+        let path = self.page();
+        let saved = write_file(path, true, |out| out.write_all(html.as_bytes()));
+        let place = path.display().to_string();
         let page = saved.is_ok().then_some(place.as_str());
         let json = json!({"checkup": checkup, "page": page, "written": written});
         let answer = Answer::new(text(&checkup, page, &written), json);
-        if let Err(e) = saved {
+        match saved {
             // What was found is told all the same.
-            answer.print(global.json)?;
-            return Err(e.into());
+            Err(e) if self.out.is_some() => {
+                answer.print(global.json)?;
+                return Err(e.into());
+            }
+            Err(e) => global.say(format!("the page was left out: {e}; -o FILE writes it elsewhere")),
+            Ok(()) => {}
         }
         Ok((answer, self.judge(&checkup)))
+    }
+
+    /// Where the page belongs.
+    fn page(&self) -> &Path {
+        self.out.as_deref().unwrap_or(Path::new("doctor.html"))
     }
 
     fn examine(&self, global: &Global) -> Result<Checkup, Failure> {
@@ -129,10 +139,11 @@ impl Doctor {
 
     /// Refuses, before anything is checked, to write over a file that is no page of the doctor.
     fn check_page(&self) -> Result<(), Failure> {
-        if self.force || !self.out.exists() || is_page(&self.out) {
+        let path = self.page();
+        if self.force || !path.exists() || is_page(path) {
             return Ok(());
         }
-        Err(IoError::Exists { file: self.out.display().to_string().into() }.into())
+        Err(IoError::Exists { file: path.display().to_string().into() }.into())
     }
 
     fn data_options(&self) -> Result<DataOptions, Failure> {

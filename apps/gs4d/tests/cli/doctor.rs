@@ -1,6 +1,7 @@
 //! `gs4d doctor` and `gs4d init`: findings, exit codes, the page, points that later openings begin with.
 
-use crate::support::{command, data, good, gs4d, text};
+use crate::support::{Call, command, data, good, gs4d, text};
+use gs_core::testkit::faults::VARIABLE;
 use std::path::Path;
 
 fn copy(from: &Path, to: &Path) {
@@ -76,6 +77,23 @@ fn the_doctor_comes_again_and_keeps_what_is_not_its_own() {
     let nowhere = dir.path().join("no/such/folder/page.html");
     let call = gs4d(&["doctor", text(data()), "--no-cost", "-o", text(&nowhere)]);
     assert!(call.code == 6 && call.out.contains("layout"), "{} {}", call.out, call.err);
+}
+
+/// In a folder where nothing can be written, such as that of the data: a full disk here, since tests may run as root.
+#[test]
+fn a_page_that_nobody_asked_for_is_left_out_where_it_cannot_be_written() {
+    let dir = tempfile::tempdir().unwrap();
+    let call = |more: &[&str], faults: &str| {
+        let all = [&["doctor", text(data()), "--no-cost"][..], more].concat();
+        Call::of(&command(&all).current_dir(dir.path()).env(VARIABLE, faults).output().unwrap())
+    };
+    let left_out = call(&[], "1:device");
+    assert!(left_out.code == 0 && left_out.err.contains("the page was left out"), "{} {}", left_out.code, left_out.err);
+    assert!(left_out.out.contains("0 problems") && !left_out.out.contains("doctor.html"), "{}", left_out.out);
+    assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);
+    assert_eq!(call(&["-o", "page.html"], "1:device").code, 6, "a page that was asked for is missing");
+    assert_eq!(call(&[], "9999:device").code, 0);
+    assert!(dir.path().join("doctor.html").exists());
 }
 
 /// Times that are frame numbers: one proposal that is enough, which `--fix` writes.
