@@ -53,7 +53,7 @@ enum Answer {
 
 /// Serves one browser until it leaves, breaks a limit, or does not read. One image at a time is rendered or sent.
 pub(crate) async fn serve(mut socket: WebSocket, shared: &Arc<Shared>) {
-    let mut news = shared.news.subscribe();
+    let (mut news, mut listed) = (shared.news.subscribe(), shared.listed.subscribe());
     let mut greeting = shared.stage.about();
     greeting["version"] = json!(env!("CARGO_PKG_VERSION"));
     if let Value::Object(training) = shared.training() {
@@ -104,6 +104,10 @@ pub(crate) async fn serve(mut socket: WebSocket, shared: &Arc<Shared>) {
                 Ok(None) => true,
                 Err(_) => false,
             },
+            Ok(()) = listed.changed() => {
+                listed.borrow_and_update();
+                send(&mut socket, &json!({"listed": shared.stage.about()["shows"]})).await
+            }
             Ok(()) = news.changed() => {
                 let text = news.borrow_and_update().clone();
                 send_text(&mut socket, text.unwrap_or_default()).await

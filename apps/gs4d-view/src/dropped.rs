@@ -54,7 +54,7 @@ pub(crate) async fn take(
         let splats = state.in_pool(read).map_err(|e| e.to_string())?;
         Ok(state.stage.add(Show::splats(name.clone(), splats), MAX_SHOWS).map(|number| {
             let mut about = state.stage.about();
-            state.news.send_replace(Some(json!({"listed": about["shows"]}).to_string()));
+            state.listed.send_replace(());
             about["number"] = json!(number);
             about.to_string()
         }))

@@ -4,7 +4,7 @@ const key = new URLSearchParams(location.search).get("k") || "";
 const FAST = 80; // milliseconds an image may take while something moves
 const COARSE = 0, REST = 1, FINE = 2, MOST = 3840 * 2160; // levels of images; pixels of the largest
 let version = 0; // raised whenever the present image is no longer what is wanted
-let socket = null, next = 1, busy = null, playing = false, moving = 0, shrink = 1, live = false, file = null, chosen = null, parts = [], missing = 0;
+let socket = null, next = 1, busy = null, playing = false, moving = 0, shrink = 1, live = false, file = null, chosen = null, parts = [], missing = 0, came = 0; // came: when the first part of the present answer did
 const sides = { a: { want: null, is: -1, shown: 0 }, b: { want: null, is: -1, shown: 0 } };
 const wanted = () => (state.compare === "wipe" || state.compare === "flicker" ? ["a", "b"] : ["a"]);
 const finest = () => (live ? REST : FINE); // a run under training gets no supersampled images
@@ -21,6 +21,14 @@ function size(level) {
 function pump() {
   if (busy || !socket || socket.readyState !== 1 || !shows.length) return;
   if (file) return send({ side: "file" }, { ...scene("a", REST), ...file });
+  const still = !playing && performance.now() - moving > 400, bring = (what) => send({ side: "key", fetching: what }, { ...scene(what.local.side, COARSE), time: what.time, save: "splats" });
+  const paint = (thumb) => { thumb.asked = true; send({ side: "thumb", thumb }, thumb.question()); };
+  if (live && still && sides.a.shown) {
+    // A run under training is never at rest for long: splats and thumbnails do not wait for that.
+    const newer = wantedKey(true), small = newer ? null : wantedThumb();
+    if (newer) return bring(newer);
+    if (small) return paint(small);
+  }
   const order = pump.last === "a" ? ["b", "a"] : ["a", "b"], side = order.find((s) => sides[s].want !== null && wanted().includes(s));
   if (side) {
     const s = sides[side], level = s.want, question = scene(side, level);
@@ -34,12 +42,11 @@ function pump() {
     s.want = null; pump.last = side;
     return send({ side, level }, question);
   }
-  const idle = !playing && performance.now() - moving > 400 && wanted().every((s) => sides[s].is >= REST);
-  if (!idle) return;
+  if (!still || !wanted().every((s) => sides[s].is >= REST)) return;
   // What the next drag needs, then thumbnails, then what playing needs.
-  const near = wantedKey(true), thumb = near === null ? wantedThumb() : null, at = thumb ? null : near ?? wantedKey(false);
-  if (thumb) { thumb.asked = true; return send({ side: "thumb", thumb }, thumb.question()); }
-  if (at !== null) send({ side: "key", at }, { ...scene("a", COARSE), time: at, save: "splats" });
+  const near = wantedKey(true), thumb = near === null ? wantedThumb() : null, fetching = thumb ? null : near ?? wantedKey(false);
+  if (thumb) return paint(thumb);
+  if (fetching) bring(fetching);
 }
 function scene(side, level) {
   const question = { what: target(side), time: state.t, look: look(), ...size(level) };
@@ -67,10 +74,10 @@ function changed() { moving = performance.now(); save(); again(); }
 function again() {
   version++;
   lines();
-  const here = drawLocal();
+  const here = drawLocals();
   for (const side of ["a", "b"]) {
-    sides[side].is = here && side === "a" ? COARSE : -1;
-    document.body.dataset[side] = here && side === "a" ? `${state.a[1]} here moving` : "waiting";
+    sides[side].is = here[side] ? COARSE : -1;
+    document.body.dataset[side] = here[side] ? `${state[side][1]} here moving` : "waiting";
     if (sides[side].is < COARSE) ask(side, COARSE); else sides[side].want = null;
   }
 }
@@ -86,7 +93,7 @@ function settle() {
 }
 // An answer comes in parts: lengths of header and body (u32 each, little-endian), header (JSON), body.
 function collect(part) {
-  if (!missing) { const view = new DataView(part); parts = []; missing = 8 + view.getUint32(0, true) + view.getUint32(4, true); }
+  if (!missing) { const view = new DataView(part); parts = []; came = performance.now(); missing = 8 + view.getUint32(0, true) + view.getUint32(4, true); }
   parts.push(part); missing -= part.byteLength;
   if (busy) busy.heard = performance.now();
   if (!missing) { received(parts); parts = []; }
@@ -95,23 +102,23 @@ async function received(parts) {
   const data = await new Blob(parts).arrayBuffer(), length = new DataView(data).getUint32(0, true);
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 8, length))), rest = new Uint8Array(data, 8 + length);
   if (!busy || header.id !== busy.id) return;
-  const { side, level, sent, thumb, at } = busy, spent = performance.now() - sent, asked = busy.version, stale = asked !== version;
+  const { side, level, sent, thumb, fetching } = busy, now = performance.now(), spent = now - sent, onLine = now - came, asked = busy.version, stale = asked !== version;
   // An answer for what is no longer wanted is shown at most; what is wanted is asked for all the same.
   if (sides[side] && !stale) sides[side].is = level;
   busy = null;
   if (side === "file") { file = null; pump(); return download(header.file, rest); }
-  if (side === "key") { gotKey(at, rest.slice().buffer, header, spent); return pump(); }
+  if (side === "key") { fetching.local.got(fetching, rest.slice().buffer, header, onLine); return pump(); }
   pump();
   if (level === COARSE) shrink = Math.min(8, Math.max(1, shrink * (spent > FAST ? 1.25 : spent < FAST / 2 ? 0.85 : 1)));
   const bitmap = await createImageBitmap(new Blob([rest])), canvas = thumb ? thumb.canvas : $(side);
   // What has moved on meanwhile is drawn in the browser; an older image does not follow a newer one.
-  if (!thumb && (header.id < sides[side].shown || (side === "a" && !$("local").hidden && asked !== version))) return;
+  if (!thumb && (header.id < sides[side].shown || (locals[side].drawn && asked !== version))) return;
   if (!thumb) sides[side].shown = header.id;
   canvas.width = bitmap.width; canvas.height = bitmap.height;
   canvas.getContext("2d").drawImage(bitmap, 0, 0);
   if (thumb) return;
   fit(canvas, bitmap);
-  if (side === "a") $("local").hidden = true;
+  locals[side].hide();
   document.body.dataset[side] = `${header.layer} ${header.width}x${header.height} ${["moving", "rest", "fine"][level]}`;
   if (side === "a") showStatus(header, spent);
   place();
@@ -142,7 +149,7 @@ function open() {
     if (message.news) return news(message.news);
     if (!message.error) return;
     const ours = busy && message.id === busy.id;
-    if (ours && busy.side === "key") noKeys(); else if (!ours || busy.side !== "thumb") notice(message.error);
+    if (ours && busy.side === "key") busy.fetching.local.fail(); else if (!ours || busy.side !== "thumb") notice(message.error);
     if (ours) { if (sides[busy.side]) sides[busy.side].is = FINE; if (busy.side === "file") file = null; busy = null; pump(); }
   };
   socket.onclose = () => { notice(live ? "Training has ended, or the connection is lost; trying again." : "The viewer has stopped or the connection is lost; trying again."); busy = null; setTimeout(open, 2000); };

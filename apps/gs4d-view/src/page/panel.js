@@ -59,7 +59,7 @@ function pictures() {
 }
 // The next thumbnail to fetch: only where the panel shows it, and not of rigid parts, which take long to find.
 function wantedThumb() {
-  if (document.body.classList.contains("folded") || sides.a.is < finest()) return null;
+  if (document.body.classList.contains("folded") || (!live && sides.a.is < finest())) return null;
   return thumbs.find((t) => !t.asked && t.button.offsetParent && (t.name !== "segment" || state.a[1] === "segment"));
 }
 function place() {
@@ -72,6 +72,7 @@ function place() {
   $("second").hidden = !state.compare;
   $("label-b").hidden = !wipe;
   $("b").style.clipPath = wipe ? `inset(0 0 0 ${100 * state.cut}%)` : "";
+  placeLocal();
   Object.assign($("wipe").style, { left: c.left - s.left + "px", width: c.width + "px" });
   $("wipe").lastElementChild.style.left = 100 * state.cut + "%";
   $("cut").value = state.cut;

@@ -28,7 +28,7 @@ function describe(c) {
   $("spread").replaceChildren(...c.spread.map((l) => { const d = document.createElement("div"); d.append(...legend(l)); return d; }));
 }
 // Shares of the image at a place of the window.
-function shareAt(x, y) { const c = ($("local").hidden ? $("a") : $("local")).getBoundingClientRect(); return [(x - c.left) / c.width, (y - c.top) / c.height]; }
+function shareAt(x, y) { const c = $(locals.a.drawn ? "local-a" : "a").getBoundingClientRect(); return [(x - c.left) / c.width, (y - c.top) / c.height]; }
 function dragBox(e, from) {
   const s = stage.getBoundingClientRect(), b = $("box").style, [x, y] = [Math.min(e.clientX, from.x0), Math.min(e.clientY, from.y0)];
   Object.assign(b, { left: x - s.left + "px", top: y - s.top + "px", width: Math.abs(e.clientX - from.x0) + "px", height: Math.abs(e.clientY - from.y0) + "px" });

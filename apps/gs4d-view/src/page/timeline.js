@@ -61,7 +61,7 @@ function play(asked) {
 }
 function advance(now) {
   const ready = !busy && sides.a.want === null;
-  if (!playing || !(ready || !$("local").hidden)) return;
+  if (!playing || !(ready || locals.a.drawn)) return;
   const unit = about().has_seconds ? about().seconds : 3; // a sequence without seconds is played in three
   let t = state.t + ((now - lastTick) / 1000 / Math.max(unit, 0.5)) * Number($("speed").value);
   lastTick = now;

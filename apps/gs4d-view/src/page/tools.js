@@ -65,7 +65,9 @@ $("clear-path").addEventListener("click", () => { flight = []; showPath(); });
 
 // All shows there are, also those that another page added.
 function listShows(all) {
+  const added = all.slice(shows.length).map((s) => s.name);
   shows = all;
+  if (added.length) $("status").textContent = `new under Show: ${added.join(", ")}`;
   for (const side of ["a", "b"]) options($("show-" + side), shows.map((s, k) => [k, s.name]), state[side][0]);
 }
 

@@ -3,12 +3,13 @@
 function news({ layers: names, checkpoints, training: at, history }) {
   const known = live && shows[0].checkpoints.join() === checkpoints.join() && shows[0].layers.join() === names.join();
   live = true;
-  Object.assign(shows[0], { layers: names, checkpoints });
+  Object.assign(shows[0], { layers: names, checkpoints, splats: at.splats });
   const words = [`step ${at.step.toLocaleString("en")} of ${at.steps.toLocaleString("en")}`, `${at.splats.toLocaleString("en")} splats`];
   if (at.psnr !== null) words.push(`${at.psnr.toFixed(2)} dB of training batches`);
   $("progress").textContent = words.join(" · "); $("training").hidden = false;
   if (!known) layers();
   curves(history);
+  trained = at.step;
   version++;
   for (const side of ["a", "b"]) if (state[side][0] === 0 && state[side][2] < 0) sides[side].is = Math.min(sides[side].is, COARSE);
 }

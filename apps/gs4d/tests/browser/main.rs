@@ -331,7 +331,14 @@ fn training_is_watched() {
     desk.browser.until(&format!("$('progress').textContent !== {early}"));
     desk.browser.until("$('curves').children.length === 2");
     desk.browser.until(&format!("{PIXELS} !== {before}"));
+    desk.browser.until("thumbs.every((t) => t.name === 'segment' || (t.asked && t.canvas.width <= 128))");
     desk.shot("training");
+    // While the camera moves the browser draws the splats of a copy, and of a later one after a while.
+    desk.browser.until("locals.a.clip && locals.a.clip.ready");
+    desk.browser.eval("orbit(0.1, 0)");
+    desk.browser.until("locals.a.drawn && !$('local-a').hidden");
+    let step = desk.browser.eval("locals.a.clip.step");
+    desk.browser.until(&format!("locals.a.clip.step > {step}"));
     desk.drag();
     desk.browser.until(&at_rest('a'));
     desk.browser.click("pause");
@@ -352,17 +359,27 @@ fn size_of(png: &Path) -> [usize; 2] {
     [image.width, image.height]
 }
 
-/// PSNR between what the browser draws and the server's image of the same camera and time, dB.
-const APART: &str = "(async () => {
-    const shown = $('a'), { width, height } = shown, at = (c) => { const d = document.createElement('canvas');
+/// PSNR between what the browser draws on a side and the server's image of the same camera and time, dB.
+fn apart(side: char) -> String {
+    let call = "(async (side) => {
+    const shown = $(side), { width, height } = shown, at = (c) => { const d = document.createElement('canvas');
         d.width = width; d.height = height; const g = d.getContext('2d'); g.drawImage(c, 0, 0); return g.getImageData(0, 0, width, height).data; };
     const server = at(shown);
-    await renderer.settled(cameraOf(width, height), state.t);
-    const here = at($('local'));
+    await locals[side].renderer.settled(cameraOf(width, height), state.t);
+    const here = at($('local-' + side));
     let sum = 0, n = 0;
     for (let k = 0; k < here.length; k++) if (k % 4 < 3) { sum += ((here[k] - server[k]) / 255) ** 2; n++; }
     return -10 * Math.log10(sum / n);
-})()";
+})";
+    format!("{call}('{side}')")
+}
+
+/// Whether the side of that name holds all splats that it draws.
+fn all_fetched(side: char) -> String {
+    format!(
+        "locals.{side}.clip && locals.{side}.clip.ready && locals.{side}.clip.have.size === locals.{side}.clip.times.length"
+    )
+}
 
 #[test]
 #[ignore = "a minute: cargo test -p gs4d --test browser -- --ignored --nocapture"]
@@ -375,26 +392,75 @@ fn the_browser_draws_what_moves_as_the_server_does() {
         let run = desk.train(&balls, method, &[&["--steps", "80"], more].concat());
         let viewer = Viewer::start(&["view", text(&run), "--port", "18580"]);
         desk.open(&viewer.url);
-        desk.browser.until("clip && clip.ready && clip.have.size === clip.times.length");
+        desk.browser.until(&all_fetched('a'));
         desk.drag();
         // At rest and not supersampled, at the time of a key.
-        desk.browser.eval("setTime(clip.times[5])");
+        desk.browser.eval("setTime(locals.a.clip.times[5])");
         desk.browser.until("document.body.dataset.a.endsWith(' rest')");
-        let apart = desk.browser.eval(APART).as_f64().unwrap();
+        let apart = desk.browser.eval(&apart('a')).as_f64().unwrap();
         // Colours and shapes of modec's Gaussians depend on the camera: those of the clip are of the camera it was fetched for.
         assert!(apart > if method == "modec" { 25.0 } else { 40.0 }, "{method}: {apart} dB");
         let rate = desk.browser.eval(
             "new Promise((done) => { let n = 0; const go = () => { orbit(0.02, 0); n++ < 90 ? requestAnimationFrame(go) : done(frames.rate()); }; go(); })",
         );
-        let size = desk.browser.eval("`${about().splats} splats at ${$('local').width}x${$('local').height}`");
+        let size = desk.browser.eval("`${about().splats} splats at ${$('local-a').width}x${$('local-a').height}`");
         let rate = rate.as_f64().unwrap();
         println!("{method}, {size}: {apart:.1} dB from the server's image, {rate:.0} images a second");
-        assert_eq!(desk.browser.eval("$('local').hidden"), false, "{method}");
+        assert_eq!(desk.browser.eval("$('local-a').hidden"), false, "{method}");
         desk.browser.until(&at_rest('a'));
-        assert_eq!(desk.browser.eval("$('local').hidden"), true, "{method}: the server's image takes its place");
+        assert_eq!(desk.browser.eval("$('local-a').hidden"), true, "{method}: the server's image takes its place");
         desk.no_complaints(method);
         desk.browser.leave();
     }
+}
+
+#[test]
+#[ignore = "a minute: cargo test -p gs4d --test browser -- --ignored --nocapture"]
+fn the_browser_draws_both_sides_of_a_comparison() {
+    let Some(mut desk) = Desk::new() else { return };
+    let balls = desk.balls();
+    let runs = ["fourdgs", "static3d"].map(|method| desk.train(&balls, method, &["--steps", "120"]));
+    let viewer = Viewer::start(&["view", text(&runs[0]), text(&runs[1]), "--port", "18620"]);
+    desk.open(&viewer.url);
+    desk.browser.eval("setTime(0.3)");
+    desk.compare("wipe");
+    for side in ['a', 'b'] {
+        desk.browser.until(&all_fetched(side));
+    }
+    desk.browser.eval("orbit(0.3, 0.1)");
+    desk.browser.until("locals.a.drawn && locals.b.drawn && !$('local-a').hidden && !$('local-b').hidden");
+    assert_eq!(desk.browser.eval("$('local-b').style.clipPath"), "inset(0px 0px 0px 50%)");
+    desk.browser.eval("setTime(locals.a.clip.times[5])");
+    for side in ['a', 'b'] {
+        desk.browser.until(&format!("document.body.dataset.{side}.endsWith(' rest')"));
+        let apart = desk.browser.eval(&apart(side)).as_f64().unwrap();
+        println!("side {side}: {apart:.1} dB from the server's image");
+        assert!(apart > 40.0, "{side}: {apart} dB");
+    }
+    let go = "{ let n = 0; const go = () => { orbit(0.02, 0); n++ < 60 && requestAnimationFrame(go); }; go(); }";
+    desk.browser.eval(go);
+    desk.browser.until("locals.a.drawn && locals.b.drawn");
+    desk.shot("wipe-drawn-here");
+    desk.browser.until(&at_rest('a'));
+    desk.browser.until(&at_rest('b'));
+    assert_eq!(desk.browser.eval("[$('local-a').hidden, $('local-b').hidden]"), serde_json::json!([true, true]));
+    // The splats of the second side are given back, and fetched again when they are wanted.
+    desk.compare("");
+    desk.browser.until("!locals.b.renderer && !locals.b.clip");
+    desk.compare("flicker");
+    desk.browser.until(&all_fetched('b'));
+    desk.browser.eval("stage.focus()");
+    desk.browser.key("x");
+    desk.browser.eval("orbit(0.1, 0)");
+    desk.browser.until("locals.b.drawn && !$('local-b').hidden && $('local-b').style.clipPath === ''");
+    // What has no splats comes from the server beside what is drawn here.
+    desk.compare("wipe");
+    desk.browser.set("layer-b", "depth");
+    desk.browser.until(&at_rest('b'));
+    desk.browser.eval("orbit(0.1, 0)");
+    desk.browser.until("locals.a.drawn && !locals.b.drawn && document.body.dataset.b.startsWith('depth ')");
+    desk.browser.until(&at_rest('b'));
+    desk.no_complaints("both sides");
 }
 
 #[test]
@@ -446,10 +512,26 @@ fn images_cameras_paths_and_dropped_files() {
     desk.browser.until(&at_rest('a'));
     let export = desk.dir.path().join("still.ply");
     good(&["export", text(&run), "-o", text(&export), "--no-eval"]);
+    let mut other = Chromium::start(&chromium::find().unwrap());
+    other.resize(1000, 800);
+    other.open(&viewer.url);
+    other.until("document.readyState === 'complete' && (document.body.dataset.a ?? '').endsWith(' fine')");
     let bytes: Vec<String> = std::fs::read(&export).unwrap().iter().map(u8::to_string).collect();
     desk.browser.eval(&format!("dropped([new File([new Uint8Array([{}])], 'still.ply')])", bytes.join(",")));
     desk.browser.until("shows.length === 2 && about().name === 'still.ply' && $('time').hidden");
     desk.browser.until(&at_rest('a'));
     assert!(desk.browser.eval(COLORS).as_u64() > Some(50));
+    // A page that was open before has it in its list, and goes on showing what it showed.
+    other.until("[...$('show-a').options].map((o) => o.textContent).join() === 'run-fourdgs,still.ply'");
+    assert_eq!(other.eval("[state.a[0], about().name, $('show-a').value]"), serde_json::json!([0, "run-fourdgs", "0"]));
+    assert_eq!(other.eval("$('status').textContent"), "new under Show: still.ply");
+    other.eval("$('show-a').size = 2");
+    other.shot(&desk.shots.join("listed-elsewhere.png"));
+    other.eval("$('show-a').size = 0");
+    other.set("show-a", "1");
+    other.until("about().name === 'still.ply'");
+    other.until(&at_rest('a'));
+    other.shot(&desk.shots.join("opened-elsewhere.png"));
+    assert!(other.complaints.is_empty(), "{:?}", other.complaints);
     desk.no_complaints("tools");
 }
