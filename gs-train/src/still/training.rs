@@ -17,8 +17,8 @@ use gs_core::{Camera, Geometry, GeometryRef, Time};
 use gs_raster::ScreenStats;
 use serde::{Deserialize, Serialize};
 
-/// Which splats are left out of the field while training, and when.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+/// Which splats are left out of the field while training, and when; by default none is.
+#[derive(Clone, Copy, Debug, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StillConfig {
     /// Farthest the field may move the centre of a still splat from its pose, pixels; 0: none is left out.
@@ -35,13 +35,6 @@ pub struct StillConfig {
     pub from: f32,
     /// Share of a stage after which all take part.
     pub until: f32,
-}
-
-impl Default for StillConfig {
-    /// None is left out.
-    fn default() -> Self {
-        Self { pixels: 0.0, shape: 0.01, every: 200, turn: 10, probes: 17, from: 0.15, until: 0.95 }
-    }
 }
 
 /// Values of a row of `still.pose`: whether it is still, shifts of mean and quaternion, factors of scales.
@@ -242,7 +235,7 @@ mod tests {
 
     /// Decided with a tolerance of 1.5 pixels where a world unit is 100 pixels long: rows 0 and 1 are still.
     fn decided() -> StillRows {
-        let config = StillConfig { pixels: 1.5, turn: 7, ..StillConfig::default() };
+        let config = StillConfig { pixels: 1.5, shape: 0.01, every: 200, turn: 7, probes: 17, from: 0.15, until: 0.95 };
         let mut rows = StillRows::new(config, 4, 1.0);
         rows.reach.fill(100.0);
         let canonical = canonical();
