@@ -6,10 +6,9 @@
 use std::sync::Arc;
 
 use gs_core::Image;
+use gs_fft::num_complex::Complex32;
+use gs_fft::{ComplexToReal, Fft, RealToComplex};
 use rayon::prelude::*;
-use realfft::num_complex::Complex32;
-use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
-use rustfft::{Fft, FftPlanner};
 
 /// Rows or columns of one parallel task: eight complex values fill a cache line while a matrix is transposed.
 const BLOCK: usize = 8;
@@ -37,15 +36,14 @@ impl std::fmt::Debug for Fft2 {
 impl Fft2 {
     /// Plans for images of `width` times `height` pixels, both at least 1, of any factors.
     pub(crate) fn new(width: usize, height: usize) -> Self {
-        let (mut real, mut complex) = (RealFftPlanner::new(), FftPlanner::new());
         let zeros = vec![Complex32::default(); height * (width / 2 + 1)];
         Self {
             width,
             height,
-            row: real.plan_fft_forward(width),
-            row_inverse: real.plan_fft_inverse(width),
-            column: complex.plan_fft_forward(height),
-            column_inverse: complex.plan_fft_inverse(height),
+            row: gs_fft::real_forward(width),
+            row_inverse: gs_fft::real_inverse(width),
+            column: gs_fft::complex_forward(height),
+            column_inverse: gs_fft::complex_inverse(height),
             columns: zeros.clone(),
             rows: zeros,
         }

@@ -13,6 +13,7 @@
 //! | tOF: flow of a render against flow of the ground truth | [`Tof`] | | [`tof`] |
 //! | instance masks: AP, PQ, F1, mIoU | [`Segmentation`] | | [`segmentation`] |
 //! | perceptual **proxy**, without learned weights, not LPIPS | [`perceptual_proxy`], [`masked_perceptual_proxy`] | | [`perceptual`] |
+//! | LPIPS, with the user's weights | [`Lpips::distance`] | | [`lpips`] |
 //! | ID-MRF texture loss on fixed filters, without learned weights | [`Mrf::value`](mrf::Mrf::value) | [`Mrf::value_and_grad`](mrf::Mrf::value_and_grad) | [`mrf`] |
 //! | means over views | [`Scorer`], [`Summary`] | | [`report`] |
 //!
@@ -37,13 +38,15 @@
 //! ```
 //!
 //! # Not included
-//! LPIPS and VGG-19 features; learned weights of any kind; colour-managed and HDR comparisons.
+//! Learned weights of any kind (LPIPS and VGG-19 read them from files of the user); colour-managed and HDR comparisons.
 #![warn(unreachable_pub)]
 #![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 
 pub mod error;
 mod fft2;
 pub mod flow;
+mod frozen;
+pub mod lpips;
 pub mod masked;
 pub mod mrf;
 pub mod ms_ssim;
@@ -61,10 +64,12 @@ pub mod ssim;
 mod sweep;
 pub mod tof;
 pub mod trajectory;
+mod weights;
 mod window;
 
 pub use error::MetricError;
 pub use flow::Flow;
+pub use lpips::{Lpips, LpipsNet};
 pub use masked::{MaskedSsim, masked_mse, masked_psnr, masked_ssim};
 pub use ms_ssim::{MsSsim, MsSsimOptions, ms_ssim};
 pub use perceptual::{masked_perceptual_proxy, perceptual_proxy};
@@ -77,3 +82,4 @@ pub use sharpness::Sharpness;
 pub use spectrum::{AmplitudeLoss, AmplitudeOptions, FftNorm, Reduce};
 pub use ssim::{Padding, Ssim, SsimOptions, ssim};
 pub use tof::{Tof, TofOptions, TofScore};
+pub use weights::WeightsError;

@@ -12,8 +12,8 @@
 //! for equal images whose patches repeat.
 //!
 //! **Features.** [`FeatureNet::fixed_bank`] has no learned weights: oriented filters and random orthogonal convolutions with
-//! the strides of `relu3_2` and `relu4_2` of VGG-19. Published VGG-19 features are not included, so values are a proxy that
-//! cannot be compared with those of papers.
+//! the strides of `relu3_2` and `relu4_2` of VGG-19: values are a proxy that cannot be compared with those of papers. [`FeatureNet::vgg19`] reads
+//! the published features from a file of the user, which `safetensors.torch.save_file(torchvision.models.vgg19(weights="DEFAULT").state_dict(), FILE)` writes.
 //!
 //! **Cost** grows with the fourth power of `side`: at 256 the first layer compares 4096 places with 4096. On a CPU use half the
 //! side, or evaluate the loss every few steps only.
@@ -121,10 +121,10 @@ impl Mrf {
         check_finite("a", a)?;
         check_finite("b", b)?;
         let side = self.options.side;
-        let tape = self.net.forward(&resample::resize(a, side));
-        let target = self.net.forward(&resample::resize(b, side));
+        let tape = self.net.chain.forward(&resample::resize(a, side));
+        let target = self.net.chain.forward(&resample::resize(b, side));
         let (mut layers, mut cotangents) = (Vec::new(), Vec::new());
-        for ((x, y), weight) in tape.layers().zip(target.layers()).zip(&self.net.weights) {
+        for ((x, y), weight) in tape.features().zip(target.features()).zip(&self.net.weights) {
             let (value, mut d) = layer::layer_loss(&x.data, &y.data, x.channels, &self.options.layer, grad.is_some());
             layers.push(value);
             d.iter_mut().for_each(|v| *v *= cast::to_f32(*weight));
@@ -135,7 +135,7 @@ impl Mrf {
             return Err(MetricError::Overflow { metric: "the MRF loss" });
         }
         if let Some(grad) = grad {
-            *grad = resample::resize_backward(&self.net.backward(&tape, &cotangents), a.width, a.height);
+            *grad = resample::resize_backward(&self.net.chain.backward(&tape, &cotangents), a.width, a.height);
         }
         Ok(MrfTerms { total, layers })
     }

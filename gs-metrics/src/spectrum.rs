@@ -18,7 +18,7 @@
 //! it, where columns whose mirror image is left out count twice.
 
 use gs_core::{Image, cast};
-use realfft::num_complex::Complex32;
+use gs_fft::num_complex::Complex32;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{MetricError, check_image, check_pair, explain_non_finite};

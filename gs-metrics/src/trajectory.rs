@@ -25,9 +25,9 @@
 //! ```
 
 use gs_core::cast;
+use gs_fft::RealToComplex;
+use gs_fft::num_complex::Complex64;
 use rayon::prelude::*;
-use realfft::num_complex::Complex64;
-use realfft::{RealFftPlanner, RealToComplex};
 
 /// Added to energies before logarithms are taken, squared units of length.
 pub const ENERGY_FLOOR: f64 = 1e-12;
@@ -92,7 +92,7 @@ pub fn high_energies(frames: &[Vec<[f32; 3]>], cutoff: usize, window: Window) ->
     if !(1..=highest).contains(&cutoff) {
         return Err(TrajectoryError::Cutoff { cutoff, timestamps, highest });
     }
-    let fft = RealFftPlanner::<f64>::new().plan_fft_forward(timestamps);
+    let fft = gs_fft::real_forward_f64(timestamps);
     let mut out = vec![0.0; points];
     out.par_chunks_mut(BLOCK).enumerate().for_each_init(
         || Transform::new(&*fft),

@@ -4,7 +4,7 @@ use std::sync::LazyLock;
 
 /// Groups of the verbs that are not among the first.
 const GROUPS: [(&str, &[&str]); 4] = [
-    ("Compare", &["compare", "continual"]),
+    ("Compare", &["compare", "continual", "reproduce"]),
     ("Look inside", &["methods", "config", "inspect", "forecast", "segment", "glmd"]),
     ("Make data", &["synth", "pose"]),
     ("Measure, and set up a shell", &["lab", "bench", "completions", "man"]),

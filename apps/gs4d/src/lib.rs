@@ -57,6 +57,8 @@ enum Verb {
     #[command(hide = true)]
     Continual(verbs::continual::ContinualVerb),
     #[command(hide = true)]
+    Reproduce(Box<verbs::reproduce::ReproduceVerb>),
+    #[command(hide = true)]
     Methods(verbs::methods::Methods),
     #[command(hide = true)]
     Config(verbs::config::ShowConfig),
@@ -133,6 +135,7 @@ fn run(cli: Cli) -> Result<Answer, Failure> {
         Verb::Config(verb) => verb.run(),
         Verb::Contest(verb) => renamed("contest", "compare methods", global, |global| verb.run(global)),
         Verb::Continual(verb) => verb.run(global),
+        Verb::Reproduce(verb) => verb.run(global),
         Verb::Sweep(verb) => renamed("sweep", "compare settings", global, |global| verb.run(global)),
         Verb::Pose(verb) => verb.run(global),
         Verb::Lab(verb) => verb.run(global),

@@ -7,7 +7,8 @@
 //!
 //! The strides are those of `relu3_2` and `relu4_2` of VGG-19.
 
-use super::net::{Conv, FeatureNet};
+use super::net::FeatureNet;
+use crate::frozen::{Chain, Conv, Layer};
 use gs_core::{Rng, cast};
 
 /// Side of the oriented filters, pixels.
@@ -28,7 +29,9 @@ impl FeatureNet {
         let first = oriented();
         let second = orthogonal("mrf.stride4", first.outputs, 64);
         let third = orthogonal("mrf.stride8", second.outputs, 128);
-        Self { convs: vec![first, second, third], taps: vec![1, 2], weights: vec![1.0, 2.0] }
+        let layers = [first, second, third].map(Layer::Conv).to_vec();
+        let chain = Chain { mean: [0.5; 3], deviation: [0.5; 3], layers, taps: vec![1, 2] };
+        Self { chain, weights: vec![1.0, 2.0] }
     }
 }
 
@@ -80,7 +83,7 @@ fn conv(kernel: usize, inputs: usize, filters: &[Vec<f64>]) -> Conv {
     let outputs = filters.len();
     let size = kernel * kernel * inputs;
     let weight = (0..size).flat_map(|k| filters.iter().map(move |f| cast::to_f32(f[k]))).collect();
-    Conv { kernel, stride: 2, inputs, outputs, weight }
+    Conv { kernel, stride: 2, padding: kernel / 2, inputs, outputs, weight, bias: Vec::new() }
 }
 
 #[cfg(test)]
@@ -91,8 +94,8 @@ mod tests {
     #[test]
     fn layers_have_the_strides_of_the_published_network() {
         let bank = FeatureNet::fixed_bank();
-        let tape = bank.forward(&Image::zeros(64, 64, 3));
-        let shapes: Vec<_> = tape.layers().map(Image::shape).collect();
+        let tape = bank.chain.forward(&Image::zeros(64, 64, 3));
+        let shapes: Vec<_> = tape.features().map(Image::shape).collect();
         assert_eq!(shapes, [(16, 16, 64), (8, 8, 128)]);
         assert_eq!(bank.min_side(), 8);
     }

@@ -1,7 +1,7 @@
 //! The amplitude loss in `f64`: plain sums, rows first, then columns; long lines by a fast transform.
 
 use crate::reference::Image64;
-use rustfft::{FftDirection, FftPlanner, num_complex::Complex64};
+use gs_fft::num_complex::Complex64;
 
 /// A complex number.
 type Complex = [f64; 2];
@@ -27,9 +27,9 @@ fn line(f: &[Complex], sign: f64) -> Vec<Complex> {
 }
 
 fn fast_line(f: &[Complex], sign: f64) -> Vec<Complex> {
-    let direction = if sign < 0.0 { FftDirection::Forward } else { FftDirection::Inverse };
     let mut line: Vec<Complex64> = f.iter().map(|[re, im]| Complex64::new(*re, *im)).collect();
-    FftPlanner::new().plan_fft(line.len(), direction).process(&mut line);
+    let plan = if sign < 0.0 { gs_fft::complex_forward_f64 } else { gs_fft::complex_inverse_f64 };
+    plan(line.len()).process(&mut line);
     line.iter().map(|v| [v.re, v.im]).collect()
 }
 

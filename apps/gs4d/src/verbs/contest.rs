@@ -67,7 +67,7 @@ impl ContestVerb {
         let Self { data, entries, preset, trials: Trials { seeds, sets, out: root, jobs, .. } } = self;
         let contest =
             Contest { registry: gs_methods::registry().clone(), data, root, preset, entries, seeds, length, sets };
-        if let Some(list) = jobs.plan(&contest, global)? {
+        if let Some(list) = jobs.plan(std::slice::from_ref(&contest), global)? {
             return Ok(list);
         }
         let Results { standings, missing } = jobs.results(&contest, global)?;

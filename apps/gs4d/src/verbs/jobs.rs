@@ -7,7 +7,7 @@ use crate::interrupt;
 use crate::output::check_free;
 use crate::progress::Progress;
 use gs_core::io::write_file;
-use gs4d_lab::contest::{Contest, ContestError, Event, Job, Results, TrialError};
+use gs4d_lab::contest::{Contest, ContestError, Event, Job, Plan, Results, TrialError};
 use gs4d_run::RunError;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -35,16 +35,12 @@ pub struct Jobs {
 }
 
 impl Jobs {
-    /// Writes the list of jobs, if it is asked for.
-    pub fn plan(&self, contest: &Contest, global: &Global) -> Result<Option<Answer>, Failure> {
+    /// Writes the list of jobs of these contests, if it is asked for.
+    pub fn plan(&self, contests: &[Contest], global: &Global) -> Result<Option<Answer>, Failure> {
         let Some(file) = &self.plan else { return Ok(None) };
         check_free(self.force, "list of jobs", "file", [file])
             .map_err(|f| f.remedy("choose another file, or pass -f"))?;
-        let mut contest = contest.clone();
-        if !self.relative {
-            (contest.data, contest.root) = (absolute(&contest.data)?, absolute(&contest.root)?);
-        }
-        let plan = contest.plan().map_err(failure)?;
+        let plan = self.planned(contests)?;
         let program = self.program.clone() + &flags(global);
         let lines: Vec<String> =
             plan.jobs.iter().map(|job| job.command(&program)).collect::<Result<_, _>>().map_err(failure)?;
@@ -57,6 +53,21 @@ impl Jobs {
         let what = if plan.pilots { "pilots" } else { "trials" };
         let text = format!("{} {what} -> {}\n", lines.len(), file.display());
         Ok(Some(Answer::new(text, json!({"pilots": plan.pilots, "jobs": jobs}))))
+    }
+
+    /// The jobs of all contests that come next: pilots first, where a time budget needs them.
+    fn planned(&self, contests: &[Contest]) -> Result<Plan, Failure> {
+        let mut plans = Vec::new();
+        for contest in contests {
+            let mut contest = contest.clone();
+            if !self.relative {
+                (contest.data, contest.root) = (absolute(&contest.data)?, absolute(&contest.root)?);
+            }
+            plans.push(contest.plan().map_err(failure)?);
+        }
+        let pilots = plans.iter().any(|p| p.pilots);
+        let jobs = plans.into_iter().filter(|p| p.pilots == pilots).flat_map(|p| p.jobs).collect();
+        Ok(Plan { pilots, jobs })
     }
 
     /// Trains the trials with a progress line for each, or collects them.

@@ -21,6 +21,7 @@ pub mod methods;
 mod player;
 pub mod pose;
 pub mod render;
+pub mod reproduce;
 pub mod resume;
 pub mod segment;
 pub mod shell;

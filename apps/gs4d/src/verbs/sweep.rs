@@ -42,7 +42,7 @@ impl SweepVerb {
         let (registry, base) = (gs_methods::registry().clone(), Entry::new(&method));
         let contest = Contest { registry, data, root: root.clone(), preset, entries: Vec::new(), seeds, length, sets };
         let sweep = Sweep::new(contest, &base, &vary).map_err(failure)?;
-        if let Some(list) = jobs.plan(&sweep.contest, global)? {
+        if let Some(list) = jobs.plan(std::slice::from_ref(&sweep.contest), global)? {
             return Ok(list);
         }
         let Results { standings, missing } = jobs.results(&sweep.contest, global)?;

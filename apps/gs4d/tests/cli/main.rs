@@ -24,6 +24,7 @@ mod pipes;
 mod pose;
 mod render;
 mod report;
+mod reproduce;
 mod runs;
 mod segment;
 mod soak;

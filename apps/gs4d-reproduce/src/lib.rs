@@ -1,0 +1,34 @@
+//! The tables of the four papers, as data that anyone can run.
+//!
+//! * A [`Table`] is one TOML file in `tables/`: its scenes, its methods with their settings, the protocol, the published figures and where
+//!   they are printed. [`Table::all`] lists them.
+//! * A [`Reproduction`] is a table under the [`Conditions`] of a machine: scenes that are there ([`DataSet`]), or generated ones in their
+//!   place, seeds, preset, length. It is one [`gs4d_lab::contest::Contest`] a scene: it can be interrupted, planned and collected.
+//! * An [`Outcome`] holds our figures beside the published ones, the paper's order of methods with paired differences, and what was not
+//!   run; [`page`] shows it.
+//! * [`documents`] says which tables of the documents name a preset that has changed since they were measured.
+//!
+//! ```
+//! use gs4d_reproduce::Table;
+//!
+//! let table = Table::find("fags", "dnerf")?;
+//! let mutant = table.scenes.iter().find(|s| s.name == "mutant").unwrap();
+//! assert_eq!(table.published(mutant, "FAGS", 0), Some(44.16)); // PSNR, dB
+//! # Ok::<(), gs4d_reproduce::TableError>(())
+//! ```
+#![warn(unreachable_pub)]
+#![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
+
+mod column;
+pub mod documents;
+mod outcome;
+pub mod page;
+mod reproduction;
+mod sets;
+mod table;
+
+pub use column::Column;
+pub use outcome::{EntryOutcome, NotRun, Order, Outcome, SceneOutcome, Value, Verdict};
+pub use reproduction::{Chosen, Conditions, ReproduceError, Reproduction};
+pub use sets::{DataSet, Generated};
+pub use table::{Scene, Table, TableEntry, TableError};

@@ -1,0 +1,341 @@
+//! Our figures beside the published ones.
+
+use crate::column::Column;
+use crate::reproduction::{Chosen, Reproduction};
+use crate::table::TableEntry;
+use gs_train::evaluate::EvalReport;
+use gs4d_eval::spread::Spread;
+use gs4d_lab::contest::{Length, Results, Standing, Trial};
+use serde::Serialize;
+
+/// A figure of a paper and ours.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Value {
+    /// As printed.
+    pub published: Option<f64>,
+    /// Mean and deviation over seeds.
+    pub ours: Option<Spread>,
+}
+
+impl Value {
+    /// Ours less the published figure.
+    pub fn difference(&self) -> Option<f64> {
+        Some(self.ours?.mean - self.published?)
+    }
+}
+
+/// An entry on a scene, or its mean over scenes.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct EntryOutcome {
+    /// Name in the paper.
+    pub entry: String,
+    /// Seeds that stand.
+    pub seeds: Vec<u64>,
+    /// Steps of every trial.
+    pub steps: Option<u64>,
+    /// By column of the table.
+    pub values: Vec<Value>,
+    /// The weight-free perceptual distance of gs-metrics, which is not LPIPS.
+    pub perceptual_proxy: Option<f64>,
+    /// Millions of bytes of all parameters as `f32`.
+    pub megabytes: Option<f64>,
+    /// Seconds of training, mean over seeds.
+    pub seconds: Option<f64>,
+}
+
+/// A scene, or the mean over scenes.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SceneOutcome {
+    /// Name.
+    pub scene: String,
+    /// Whether it is generated: the paper has no figures of it.
+    pub generated: bool,
+    /// In the order of the table.
+    pub entries: Vec<EntryOutcome>,
+}
+
+/// What the differences say of the paper's order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// The interval lies on the published side of 0.
+    AsPublished,
+    /// The interval lies on the other side.
+    Opposite,
+    /// The interval holds 0, or there are fewer than three pairs.
+    NotShown,
+}
+
+/// The first entry against another one, in the first column.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Order {
+    /// The other entry.
+    pub other: String,
+    /// Published mean of the first less that of the other.
+    pub published: Option<f64>,
+    /// Mean over pairs of the same scene and seed.
+    pub ours: Option<f64>,
+    /// Half the 95 % interval of that mean by Student's t; absent below two pairs.
+    pub half_width: Option<f64>,
+    /// Number of pairs.
+    pub pairs: usize,
+    /// What they say; absent where the paper has no difference.
+    pub verdict: Option<Verdict>,
+}
+
+/// Something of the table without a result of ours.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct NotRun {
+    /// A scene, an entry, a column or a trial.
+    pub what: String,
+    /// The cause.
+    pub why: String,
+}
+
+/// A table with our figures.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Outcome {
+    /// `PAPER-TABLE`.
+    pub table: String,
+    /// What it shows.
+    pub title: String,
+    /// Where it is printed.
+    pub source: String,
+    /// Conditions of the published figures.
+    pub protocol: String,
+    /// What a reader must know of the published figures.
+    pub remark: Option<String>,
+    /// Conditions of ours.
+    pub conditions: String,
+    /// Names of the columns.
+    pub columns: Vec<String>,
+    /// One per scene, then the mean over scenes if there are several.
+    pub scenes: Vec<SceneOutcome>,
+    /// The first entry against each other one.
+    pub orders: Vec<Order>,
+    /// What has no result, and why.
+    pub not_run: Vec<NotRun>,
+}
+
+impl Outcome {
+    pub(crate) fn of(reproduction: &Reproduction, results: &[Results]) -> Self {
+        let Reproduction { table, scenes, .. } = reproduction;
+        let mut outcomes: Vec<SceneOutcome> =
+            scenes.iter().zip(results).map(|(s, r)| scene(reproduction, s, &r.standings)).collect();
+        if outcomes.len() > 1 {
+            outcomes.push(average(reproduction, results));
+        }
+        Self {
+            table: table.full_name(),
+            title: table.title.clone(),
+            source: table.source.clone(),
+            protocol: table.protocol.clone(),
+            remark: table.remark.clone(),
+            conditions: conditions(reproduction),
+            columns: table.columns.clone(),
+            scenes: outcomes,
+            orders: orders(reproduction, results),
+            not_run: not_run(reproduction, results),
+        }
+    }
+}
+
+/// The conditions of our figures, in words.
+fn conditions(reproduction: &Reproduction) -> String {
+    let c = &reproduction.conditions;
+    let preset = c.preset.as_ref().map_or("published recipes".to_owned(), |p| format!("preset {p}"));
+    let length = match c.length {
+        Length::Recipe => String::new(),
+        Length::Steps(n) => format!(", {n} steps"),
+        Length::Seconds(s) => format!(", {s} s a trial"),
+    };
+    let scale = c.scale.map_or(String::new(), |s| format!(", data.scale={s}"));
+    let sets = c.sets.iter().map(|s| format!(", {s}")).collect::<String>();
+    let seeds = c.seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
+    format!("{preset}{length}{scale}{sets}; seeds {seeds}")
+}
+
+fn columns(reproduction: &Reproduction) -> Vec<Column> {
+    reproduction.table.columns.iter().filter_map(|c| Column::named(c)).collect()
+}
+
+fn scene(reproduction: &Reproduction, chosen: &Chosen, standings: &[Standing]) -> SceneOutcome {
+    let table = &reproduction.table;
+    let published = |entry: &TableEntry, column: usize| match chosen {
+        Chosen::Published(scene, _) => table.published(scene, &entry.name, column),
+        Chosen::Generated(_) => None,
+    };
+    let entries = table.runnable().zip(standings).map(|(entry, standing)| {
+        let values = columns(reproduction).into_iter().enumerate();
+        let values = values.map(|(k, c)| Value { published: published(entry, k), ours: standing.spread(c.of) });
+        outcome(entry, standing, values.collect())
+    });
+    let generated = matches!(chosen, Chosen::Generated(_));
+    SceneOutcome { scene: chosen.name().to_owned(), generated, entries: entries.collect() }
+}
+
+fn outcome(entry: &TableEntry, standing: &Standing, values: Vec<Value>) -> EntryOutcome {
+    let mean = |score: fn(&EvalReport) -> Option<f64>| standing.spread(score).map(|s| s.mean);
+    EntryOutcome {
+        entry: entry.name.clone(),
+        seeds: standing.trials.iter().map(|t| t.seed).collect(),
+        steps: standing.steps,
+        values,
+        perceptual_proxy: mean(|r| r.mean.perceptual_proxy),
+        megabytes: mean(|r| Some(r.parameter_bytes as f64 * 1e-6)),
+        seconds: mean(|r| r.train_seconds),
+    }
+}
+
+/// Means over scenes of every seed that stands on all of them; their spread is that over seeds.
+fn average(reproduction: &Reproduction, results: &[Results]) -> SceneOutcome {
+    let table = &reproduction.table;
+    let entries = table.runnable().enumerate().map(|(k, entry)| {
+        let standings: Vec<&Standing> = results.iter().filter_map(|r| r.standings.get(k)).collect();
+        let everywhere = |seed: &&u64| standings.iter().all(|s| of_seed(s, **seed).is_some());
+        let seeds: Vec<u64> = reproduction.conditions.seeds.iter().filter(everywhere).copied().collect();
+        let mean = |score: fn(&EvalReport) -> Option<f64>| {
+            let of = |seed: &u64| -> Option<f64> {
+                let values: Option<Vec<f64>> =
+                    standings.iter().map(|s| of_seed(s, *seed).and_then(|t| score(&t.scores))).collect();
+                Spread::of(&values?).map(|s| s.mean)
+            };
+            Spread::of(&seeds.iter().filter_map(of).collect::<Vec<_>>())
+        };
+        let values = columns(reproduction).into_iter().enumerate();
+        let published = |column| published_mean(reproduction, &entry.name, column);
+        let values = values.map(|(c, column)| Value { published: published(c), ours: mean(column.of) }).collect();
+        let plain = |score| mean(score).map(|s: Spread| s.mean);
+        EntryOutcome {
+            entry: entry.name.clone(),
+            values,
+            steps: None,
+            perceptual_proxy: plain(|r| r.mean.perceptual_proxy),
+            megabytes: plain(|r| Some(r.parameter_bytes as f64 * 1e-6)),
+            seconds: plain(|r| r.train_seconds),
+            seeds,
+        }
+    });
+    let generated = reproduction.scenes.iter().all(|s| matches!(s, Chosen::Generated(_)));
+    SceneOutcome { scene: "mean over these scenes".to_owned(), generated, entries: entries.collect() }
+}
+
+fn of_seed(standing: &Standing, seed: u64) -> Option<&Trial> {
+    standing.trials.iter().find(|t| t.seed == seed)
+}
+
+/// The published mean over the scenes that were run: the printed one if these are all, else that of the printed rows.
+fn published_mean(reproduction: &Reproduction, entry: &str, column: usize) -> Option<f64> {
+    let Reproduction { table, scenes, absent, .. } = reproduction;
+    let rows: Option<Vec<f64>> = scenes
+        .iter()
+        .map(|chosen| match chosen {
+            Chosen::Published(scene, _) => table.published(scene, entry, column),
+            Chosen::Generated(_) => None,
+        })
+        .collect();
+    let all = absent.is_empty() && scenes.iter().all(|s| matches!(s, Chosen::Published(..)));
+    let printed = table.published_average(entry, column).filter(|_| all && scenes.len() == table.scenes.len());
+    printed.or_else(|| Spread::of(&rows?).map(|s| s.mean))
+}
+
+fn orders(reproduction: &Reproduction, results: &[Results]) -> Vec<Order> {
+    let table = &reproduction.table;
+    let names: Vec<&TableEntry> = table.runnable().collect();
+    let (Some(first), Some(column)) = (names.first(), columns(reproduction).into_iter().next()) else {
+        return Vec::new();
+    };
+    let printed = |entry: &str| table.published_average(entry, 0);
+    let order = |(k, other): (usize, &&TableEntry)| {
+        let published = printed(&first.name).zip(printed(&other.name)).map(|(a, b)| a - b);
+        let pairs: Vec<f64> = results.iter().flat_map(|r| differences(&r.standings, k, column)).collect();
+        Order::of(other.name.clone(), published, &pairs)
+    };
+    names.iter().enumerate().skip(1).map(order).collect()
+}
+
+/// The first entry less another one, for every seed that both have on a scene.
+fn differences(standings: &[Standing], other: usize, column: Column) -> Vec<f64> {
+    let (Some(a), Some(b)) = (standings.first(), standings.get(other)) else { return Vec::new() };
+    let pair = |t: &Trial| Some((column.of)(&t.scores)? - (column.of)(&of_seed(b, t.seed)?.scores)?);
+    a.trials.iter().filter_map(pair).collect()
+}
+
+impl Order {
+    fn of(other: String, published: Option<f64>, pairs: &[f64]) -> Self {
+        let spread = Spread::of(pairs);
+        let half_width = spread.filter(|_| pairs.len() > 1).map(|s| {
+            let n = pairs.len();
+            student_975(n - 1) * s.deviation / (n as f64).sqrt()
+        });
+        let ours = spread.map(|s| s.mean);
+        let verdict = published.and_then(|p| Some((p, ours?))).map(|(published, ours)| match half_width {
+            Some(half) if pairs.len() > 2 && ours.abs() > half => {
+                if ours * published > 0.0 {
+                    Verdict::AsPublished
+                } else {
+                    Verdict::Opposite
+                }
+            }
+            _ => Verdict::NotShown,
+        });
+        Self { other, published, ours, half_width, pairs: pairs.len(), verdict }
+    }
+}
+
+/// The 97.5 % quantile of Student's t.
+fn student_975(freedom: usize) -> f64 {
+    const SMALL: [f64; 30] = [
+        12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131,
+        2.120, 2.110, 2.101, 2.093, 2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042,
+    ];
+    // Beyond: the normal quantile and two terms of its expansion in 1/n.
+    let n = freedom as f64;
+    let beyond = || 1.959_964 + 2.372_3 / n + 2.822_5 / (n * n);
+    SMALL.get(freedom.saturating_sub(1)).copied().unwrap_or_else(beyond)
+}
+
+fn not_run(reproduction: &Reproduction, results: &[Results]) -> Vec<NotRun> {
+    let Reproduction { table, set, absent, .. } = reproduction;
+    let row = |what: &str, why: String| NotRun { what: what.to_owned(), why };
+    let scenes = absent.iter().map(|s| row(s, format!("not below --data; from {}; {}", set.from, set.layout)));
+    let entries = table.entries.iter().filter(|e| e.run.is_none());
+    let entries = entries.map(|e| row(&e.name, "no method of gs4d".to_owned()));
+    let columns = table.columns.iter().filter_map(|column| {
+        let why = match column.as_str() {
+            "lpips" | "future_lpips" => "needs weights that gs4d does not have; the perceptual proxy stands beside",
+            "tof" => "measured by gs4d eval --pred --gt --metrics tof on rendered frames",
+            _ => return None,
+        };
+        Some(row(column, why.to_owned()))
+    });
+    let trials = results.iter().zip(&reproduction.scenes);
+    let trials = trials.flat_map(|(r, s)| {
+        r.missing.iter().map(move |m| row(&format!("{} / {}", s.name(), m.trial), m.source.to_string()))
+    });
+    scenes.chain(entries).chain(columns).chain(trials).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_order_needs_an_interval_on_one_side() {
+        let of = |published, pairs: &[f64]| Order::of("other".into(), published, pairs).verdict;
+        assert_eq!(of(Some(0.8), &[0.5, 0.6, 0.7]), Some(Verdict::AsPublished));
+        assert_eq!(of(Some(-0.8), &[0.5, 0.6, 0.7]), Some(Verdict::Opposite));
+        assert_eq!(of(Some(0.8), &[0.5, -0.6, 0.7]), Some(Verdict::NotShown));
+        assert_eq!(of(Some(0.8), &[0.5, 0.6]), Some(Verdict::NotShown), "two pairs");
+        assert_eq!(of(None, &[0.5, 0.6, 0.7]), None);
+        assert_eq!(of(Some(0.8), &[]), None);
+    }
+
+    #[test]
+    fn the_interval_is_students() {
+        let order = Order::of("other".into(), None, &[1.0, 2.0, 3.0]);
+        assert!((order.half_width.unwrap() - 4.303 / 3f64.sqrt()).abs() < 1e-12);
+        assert_eq!((order.ours, order.pairs), (Some(2.0), 3));
+        assert!((student_975(31) - 2.0395).abs() < 1e-3 && (student_975(120) - 1.9799).abs() < 1e-3);
+    }
+}

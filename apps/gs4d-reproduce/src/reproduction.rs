@@ -1,0 +1,251 @@
+//! A table under the conditions of a machine: which scenes are there, and the contest of each.
+
+use crate::outcome::Outcome;
+use crate::sets::{DataSet, Generated};
+use crate::table::{Scene, Table, TableEntry, TableError};
+use gs_data::DataError;
+use gs_train::registry::Registry;
+use gs4d_lab::contest::{Contest, Entry, Length, Results};
+use std::path::PathBuf;
+
+/// How a table is run.
+#[derive(Clone, Debug)]
+pub struct Conditions {
+    /// Folders below which scenes are looked for.
+    pub data: Vec<PathBuf>,
+    /// Names of scenes, those of the paper or generated ones; empty: those of the paper that are there, and the generated ones if none is.
+    pub scenes: Vec<String>,
+    /// Everything runs once with each.
+    pub seeds: Vec<u64>,
+    /// Preset of every entry; `None`: that of its published recipe.
+    pub preset: Option<String>,
+    /// Length of every trial.
+    pub length: Length,
+    /// `data.scale` in place of that of the table, (0, 1].
+    pub scale: Option<f64>,
+    /// Settings of all trials, `KEY=VALUE`.
+    pub sets: Vec<String>,
+    /// Folder of generated scenes (`data`), trials (`SCENE/ENTRY/seed-N`) and results.
+    pub root: PathBuf,
+}
+
+/// A scene that is run.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Chosen {
+    /// One of the paper's, in this folder.
+    Published(Scene, PathBuf),
+    /// One that stands in.
+    Generated(Generated),
+}
+
+impl Chosen {
+    /// Name of the scene.
+    pub fn name(&self) -> &str {
+        match self {
+            Self::Published(scene, _) => &scene.name,
+            Self::Generated(generated) => &generated.name,
+        }
+    }
+}
+
+/// A table and the scenes it is run on.
+#[derive(Clone, Debug)]
+pub struct Reproduction {
+    /// The table.
+    pub table: Table,
+    /// Its data set.
+    pub set: DataSet,
+    /// How it is run.
+    pub conditions: Conditions,
+    /// The scenes that are run.
+    pub scenes: Vec<Chosen>,
+    /// The scenes of the paper that are not there.
+    pub absent: Vec<String>,
+}
+
+/// Why a table cannot be run.
+#[derive(Debug, thiserror::Error)]
+pub enum ReproduceError {
+    /// A file of this crate is wrong, or there is no such table.
+    #[error(transparent)]
+    Table(#[from] TableError),
+    /// Another command makes the table.
+    #[error("no training makes this table; its command is {0}")]
+    Command(String),
+    /// A scene was asked for that the table does not have.
+    #[error("the table has no scene `{name}`; it has {known}")]
+    UnknownScene {
+        /// The name asked for.
+        name: String,
+        /// The names there are.
+        known: String,
+    },
+    /// A scene was asked for that is not there.
+    #[error("the scene {name} is in none of the folders of --data; it comes from {from} and is {layout}")]
+    AbsentScene {
+        /// The name asked for.
+        name: String,
+        /// Where it comes from.
+        from: String,
+        /// Its files.
+        layout: String,
+    },
+    /// A generated scene cannot be written.
+    #[error(transparent)]
+    Data(#[from] DataError),
+}
+
+impl Reproduction {
+    /// Chooses the scenes; nothing is written.
+    ///
+    /// # Errors
+    /// A table without data; a scene that is unknown or absent.
+    pub fn new(table: Table, conditions: Conditions) -> Result<Self, ReproduceError> {
+        let Some(data) = &table.data else {
+            return Err(ReproduceError::Command(table.command.unwrap_or_default()));
+        };
+        let set = DataSet::find(data)?;
+        let there = |s: &Scene| Some(Chosen::Published(s.clone(), set.folder(s, &conditions.data)?));
+        let here: Vec<Chosen> = table.scenes.iter().filter_map(there).collect();
+        let is_absent = |s: &&Scene| !here.iter().any(|h| h.name() == s.name);
+        let absent: Vec<String> = table.scenes.iter().filter(is_absent).map(|s| s.name.clone()).collect();
+        let generated = || set.generated.iter().cloned().map(Chosen::Generated);
+        let scenes = if conditions.scenes.is_empty() {
+            if here.is_empty() { generated().collect() } else { here }
+        } else {
+            let all: Vec<Chosen> = here.into_iter().chain(generated()).collect();
+            let chosen = |name: &String| match all.iter().find(|c| c.name() == name) {
+                Some(scene) => Ok(scene.clone()),
+                None if absent.contains(name) => Err(ReproduceError::AbsentScene {
+                    name: name.clone(),
+                    from: set.from.clone(),
+                    layout: set.layout.clone(),
+                }),
+                None => {
+                    let known = absent.iter().map(String::as_str).chain(all.iter().map(Chosen::name));
+                    let known = known.collect::<Vec<_>>().join(", ");
+                    Err(ReproduceError::UnknownScene { name: name.clone(), known })
+                }
+            };
+            conditions.scenes.iter().map(chosen).collect::<Result<_, _>>()?
+        };
+        Ok(Self { table, set, conditions, scenes, absent })
+    }
+
+    /// Writes the generated scenes among the chosen ones that are not written yet.
+    ///
+    /// # Errors
+    /// If one cannot be written.
+    pub fn prepare(&self) -> Result<(), DataError> {
+        let root = self.conditions.root.join("data");
+        self.scenes.iter().try_for_each(|scene| match scene {
+            Chosen::Published(..) => Ok(()),
+            Chosen::Generated(generated) => generated.write(&root).map(drop),
+        })
+    }
+
+    /// One contest a scene, in the order of the scenes.
+    ///
+    /// # Errors
+    /// [`TableError::Wrong`].
+    pub fn contests(&self, registry: &Registry) -> Result<Vec<Contest>, TableError> {
+        self.scenes.iter().map(|scene| self.contest(scene, registry)).collect()
+    }
+
+    fn contest(&self, scene: &Chosen, registry: &Registry) -> Result<Contest, TableError> {
+        let Conditions { seeds, length, scale, sets, root, .. } = &self.conditions;
+        let (data, own) = match scene {
+            Chosen::Published(s, folder) => (folder.clone(), self.table.sets.iter().chain(&s.sets).cloned().collect()),
+            Chosen::Generated(generated) => (root.join("data").join(&generated.name), Vec::new()),
+        };
+        let scale = scale.map(|s| format!("data.scale={s}"));
+        Ok(Contest {
+            registry: registry.clone(),
+            data,
+            root: root.join(scene.name()),
+            preset: "fast".to_owned(),
+            entries: self.entries()?,
+            seeds: seeds.clone(),
+            length: *length,
+            sets: own.into_iter().chain(scale).chain(sets.iter().cloned()).collect(),
+        })
+    }
+
+    /// The entries of every contest, in the order of [`Table::runnable`].
+    fn entries(&self) -> Result<Vec<Entry>, TableError> {
+        let preset = |e: &TableEntry| self.conditions.preset.clone().unwrap_or_else(|| e.preset.clone());
+        let wrong = |why| TableError::Wrong { name: self.table.full_name(), why };
+        self.table.runnable().map(|e| e.contest_entry(&preset(e), &[]).map_err(wrong)).collect()
+    }
+
+    /// Our figures beside the published ones, from the results of [`Self::contests`].
+    pub fn outcome(&self, results: &[Results]) -> Outcome {
+        Outcome::of(self, results)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn conditions(root: &std::path::Path) -> Conditions {
+        Conditions {
+            data: vec![root.join("captures")],
+            scenes: Vec::new(),
+            seeds: vec![0, 1],
+            preset: Some("tiny".into()),
+            length: Length::Steps(3),
+            scale: Some(0.5),
+            sets: vec!["run.log_every=1".into()],
+            root: root.join("out"),
+        }
+    }
+
+    #[test]
+    fn scenes_that_are_there_are_run_and_generated_ones_where_none_is() {
+        let root = tempfile::tempdir().unwrap();
+        let table = || Table::find("fags", "dnerf").unwrap();
+        let without = Reproduction::new(table(), conditions(root.path())).unwrap();
+        assert_eq!((without.scenes.len(), without.absent.len()), (6, 7));
+        assert!(without.scenes.iter().all(|s| matches!(s, Chosen::Generated(_))));
+
+        std::fs::create_dir_all(root.path().join("captures/hook")).unwrap();
+        let with = Reproduction::new(table(), conditions(root.path())).unwrap();
+        assert_eq!((with.scenes[0].name(), with.scenes.len(), with.absent.len()), ("hook", 1, 6));
+        let contests = with.contests(gs_methods::registry()).unwrap();
+        assert_eq!(contests[0].data, root.path().join("captures/hook"));
+        assert_eq!(contests[0].sets, ["data.scale=0.5", "run.log_every=1"]);
+        let labels: Vec<&str> = contests[0].entries.iter().map(|e| e.label.as_str()).collect();
+        assert_eq!(labels, ["fags:tiny", "grid4d:tiny", "acutance:tiny", "fourdgs:tiny", "defgs:tiny"]);
+    }
+
+    #[test]
+    fn a_scene_that_is_asked_for_must_be_there() {
+        let root = tempfile::tempdir().unwrap();
+        let of = |name: &str| {
+            let scenes = vec![name.to_owned()];
+            Reproduction::new(Table::find("fags", "dnerf").unwrap(), Conditions { scenes, ..conditions(root.path()) })
+        };
+        assert_eq!(of("waves-b").unwrap().scenes[0].name(), "waves-b");
+        let absent = of("trex").unwrap_err().to_string();
+        assert!(absent.contains("github.com/albertpumarola/D-NeRF"), "{absent}");
+        let unknown = of("tyrannosaur").unwrap_err().to_string();
+        assert!(unknown.contains("trex") && unknown.contains("sheet-a"), "{unknown}");
+    }
+
+    #[test]
+    fn the_published_recipe_is_a_preset_of_each_entry() {
+        let root = tempfile::tempdir().unwrap();
+        let published = Conditions { preset: None, ..conditions(root.path()) };
+        let table = Reproduction::new(Table::find("fags", "neu3d").unwrap(), published).unwrap();
+        let labels = table.entries().unwrap().into_iter().map(|e| e.label).collect::<Vec<_>>();
+        assert_eq!(labels, ["fags:neu3d", "grid4d:neu3d", "fourdgs:paper"]);
+    }
+
+    #[test]
+    fn a_table_of_another_command_names_it() {
+        let root = tempfile::tempdir().unwrap();
+        let error = Reproduction::new(Table::find("dut", "runtime").unwrap(), conditions(root.path())).unwrap_err();
+        assert!(error.to_string().contains("gs4d bench RUN"), "{error}");
+    }
+}

@@ -1,0 +1,290 @@
+//! A table of a paper: what is trained on what, and the published figures.
+
+use crate::column::Column;
+use gs4d_lab::contest::Entry;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+
+/// The files, each with the name `PAPER-TABLE`.
+const FILES: &[(&str, &str)] = &[
+    ("fags-dnerf", include_str!("../tables/fags-dnerf.toml")),
+    ("fags-neu3d", include_str!("../tables/fags-neu3d.toml")),
+    ("fags-hypernerf-interp", include_str!("../tables/fags-hypernerf-interp.toml")),
+    ("fags-hypernerf-vrig", include_str!("../tables/fags-hypernerf-vrig.toml")),
+    ("fags-ablation", include_str!("../tables/fags-ablation.toml")),
+    ("modec-iphone", include_str!("../tables/modec-iphone.toml")),
+    ("modec-hypernerf-interp", include_str!("../tables/modec-hypernerf-interp.toml")),
+    ("modec-hypernerf-misc", include_str!("../tables/modec-hypernerf-misc.toml")),
+    ("modec-hypernerf-vrig", include_str!("../tables/modec-hypernerf-vrig.toml")),
+    ("modec-nvidia", include_str!("../tables/modec-nvidia.toml")),
+    ("modec-dnerf", include_str!("../tables/modec-dnerf.toml")),
+    ("modec-panoptic", include_str!("../tables/modec-panoptic.toml")),
+    ("modec-settings", include_str!("../tables/modec-settings.toml")),
+    ("modec-ablation", include_str!("../tables/modec-ablation.toml")),
+    ("trace-object", include_str!("../tables/trace-object.toml")),
+    ("trace-indoor", include_str!("../tables/trace-indoor.toml")),
+    ("trace-real", include_str!("../tables/trace-real.toml")),
+    ("trace-multipart", include_str!("../tables/trace-multipart.toml")),
+    ("trace-ablation-object", include_str!("../tables/trace-ablation-object.toml")),
+    ("trace-ablation-indoor", include_str!("../tables/trace-ablation-indoor.toml")),
+    ("trace-ablation-multipart", include_str!("../tables/trace-ablation-multipart.toml")),
+    ("trace-segments-indoor", include_str!("../tables/trace-segments-indoor.toml")),
+    ("trace-segments-basketball", include_str!("../tables/trace-segments-basketball.toml")),
+    ("trace-continual", include_str!("../tables/trace-continual.toml")),
+    ("dut-runtime", include_str!("../tables/dut-runtime.toml")),
+];
+
+/// A table of a paper.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Table {
+    /// `fags`, `modec`, `trace` or `dut`; from the name of the file.
+    #[serde(skip)]
+    pub paper: String,
+    /// Name within the paper; from the name of the file.
+    #[serde(skip)]
+    pub name: String,
+    /// What it shows.
+    pub title: String,
+    /// Where it is printed.
+    pub source: String,
+    /// Name of the [`DataSet`](crate::DataSet) of its scenes; absent for a table that no training makes.
+    #[serde(default)]
+    pub data: Option<String>,
+    /// Under which conditions the published figures were measured.
+    pub protocol: String,
+    /// Settings of all entries on the paper's data, `KEY=VALUE`.
+    #[serde(default)]
+    pub sets: Vec<String>,
+    /// Names of the columns; the first decides the order of methods.
+    pub columns: Vec<String>,
+    /// What a reader must know of the published figures.
+    #[serde(default)]
+    pub remark: Option<String>,
+    /// The command that makes our side of a table without data.
+    #[serde(default)]
+    pub command: Option<String>,
+    /// The rows. The others are compared with the first.
+    pub entries: Vec<TableEntry>,
+    /// Published means over scenes by entry, in the order of the columns; figures that are not printed are absent or NaN.
+    #[serde(default)]
+    pub average: BTreeMap<String, Vec<f64>>,
+    /// The scenes.
+    #[serde(default)]
+    pub scenes: Vec<Scene>,
+}
+
+/// A method of a table.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TableEntry {
+    /// Name in the paper.
+    pub name: String,
+    /// `METHOD [KEY=VALUE …]`; absent for a method that is not in gs4d.
+    #[serde(default)]
+    pub run: Option<String>,
+    /// Preset of the published recipe.
+    #[serde(default = "paper_preset")]
+    pub preset: String,
+}
+
+/// A scene of a table.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Scene {
+    /// Name, and that of its folder.
+    pub name: String,
+    /// Other names of its folder.
+    #[serde(default)]
+    pub also: Vec<String>,
+    /// Settings of all entries on this scene, `KEY=VALUE`.
+    #[serde(default)]
+    pub sets: Vec<String>,
+    /// Published figures by entry, as those of [`Table::average`].
+    #[serde(default)]
+    pub published: BTreeMap<String, Vec<f64>>,
+}
+
+fn paper_preset() -> String {
+    "paper".to_owned()
+}
+
+/// Why there is no such table.
+#[derive(Debug, thiserror::Error)]
+pub enum TableError {
+    /// A file of this crate is wrong.
+    #[error("table {name}: {why}")]
+    Wrong {
+        /// Name of the file.
+        name: String,
+        /// What is wrong.
+        why: String,
+    },
+    /// No table of that name.
+    #[error("there is no table `{name}`; there are {known}")]
+    Unknown {
+        /// The name asked for.
+        name: String,
+        /// The names there are.
+        known: String,
+    },
+}
+
+impl Table {
+    /// Every table, in the order of the papers.
+    ///
+    /// # Errors
+    /// [`TableError::Wrong`].
+    pub fn all() -> Result<Vec<Self>, TableError> {
+        FILES.iter().map(|(name, text)| Self::parse(name, text)).collect()
+    }
+
+    /// The table `name` of `paper`.
+    ///
+    /// # Errors
+    /// [`TableError::Unknown`] names those there are.
+    pub fn find(paper: &str, name: &str) -> Result<Self, TableError> {
+        let all = Self::all()?;
+        let full = format!("{paper}-{name}");
+        let known = || all.iter().map(|t| format!("{} {}", t.paper, t.name)).collect::<Vec<_>>().join(", ");
+        let unknown = || TableError::Unknown { name: format!("{paper} {name}"), known: known() };
+        all.iter().find(|t| t.full_name() == full).cloned().ok_or_else(unknown)
+    }
+
+    /// `PAPER-TABLE`.
+    pub fn full_name(&self) -> String {
+        format!("{}-{}", self.paper, self.name)
+    }
+
+    fn parse(full: &str, text: &str) -> Result<Self, TableError> {
+        let wrong = |why: String| TableError::Wrong { name: full.to_owned(), why };
+        let (paper, name) = full.split_once('-').ok_or_else(|| wrong("no PAPER-TABLE".into()))?;
+        let table: Self = toml::from_str(text).map_err(|e| wrong(e.to_string()))?;
+        let table = Self { paper: paper.to_owned(), name: name.to_owned(), ..table };
+        table.check().map_err(wrong)?;
+        Ok(table)
+    }
+
+    /// Whether entries can be read, figures belong to entries and columns, and what is run has data and known columns.
+    fn check(&self) -> Result<(), String> {
+        if self.data.is_some() == self.command.is_some() {
+            return Err("a table has either data or a command".into());
+        }
+        let known = |name: &String| self.entries.iter().any(|e| e.name == *name);
+        let figures = self.scenes.iter().flat_map(|s| &s.published).chain(&self.average);
+        for (entry, values) in figures {
+            if !known(entry) || values.len() > self.columns.len() {
+                return Err(format!("figures of {entry} belong to no entry or column"));
+            }
+        }
+        for entry in self.entries.iter().filter(|e| e.run.is_some()) {
+            entry.contest_entry("fast", &[])?;
+        }
+        match self.columns.iter().find(|c| self.data.is_some() && Column::named(c).is_none()) {
+            Some(column) => Err(format!("no contest has the column {column}")),
+            None => Ok(()),
+        }
+    }
+
+    /// The published figure of an entry on a scene in a column.
+    pub fn published(&self, scene: &Scene, entry: &str, column: usize) -> Option<f64> {
+        figure(&scene.published, entry, column)
+    }
+
+    /// The published mean over scenes of an entry in a column.
+    pub fn published_average(&self, entry: &str, column: usize) -> Option<f64> {
+        figure(&self.average, entry, column)
+    }
+
+    /// The entries that gs4d can train.
+    pub fn runnable(&self) -> impl Iterator<Item = &TableEntry> {
+        self.entries.iter().filter(|e| e.run.is_some())
+    }
+}
+
+fn figure(figures: &BTreeMap<String, Vec<f64>>, entry: &str, column: usize) -> Option<f64> {
+    figures.get(entry)?.get(column).copied().filter(|v| v.is_finite())
+}
+
+impl TableEntry {
+    /// The entry of a contest with a preset and further settings.
+    ///
+    /// # Errors
+    /// If it is no `METHOD [KEY=VALUE …]`.
+    pub fn contest_entry(&self, preset: &str, sets: &[String]) -> Result<Entry, String> {
+        let run = self.run.as_deref().unwrap_or_default();
+        let (method, own) = run.split_once(' ').unwrap_or((run, ""));
+        Entry::parse(&format!("{method}:{preset} {own} {}", sets.join(" ")))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_tables_can_be_read_and_each_file_is_listed() {
+        let all = Table::all().unwrap();
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/tables");
+        let files = std::fs::read_dir(folder).unwrap().map(|f| f.unwrap().file_name().into_string().unwrap());
+        let mut files: Vec<String> = files.filter(|f| f != "data.toml").collect();
+        files.sort();
+        let mut listed: Vec<String> = all.iter().map(|t| format!("{}.toml", t.full_name())).collect();
+        listed.sort();
+        assert_eq!(files, listed);
+    }
+
+    /// What gs4d is asked to train must be settings of the method, with both presets.
+    #[test]
+    fn every_entry_resolves() {
+        let registry = gs_methods::registry();
+        for table in Table::all().unwrap() {
+            for entry in table.runnable() {
+                for preset in ["fast", &entry.preset] {
+                    let method = entry.run.as_deref().unwrap().split(' ').next().unwrap();
+                    let sets = entry.run.as_deref().unwrap().split(' ').skip(1).map(str::to_owned);
+                    let request = gs4d_run::settings::Request {
+                        method: method.into(),
+                        preset: preset.into(),
+                        sets: table.sets.iter().cloned().chain(sets).collect(),
+                        ..Default::default()
+                    };
+                    gs4d_run::settings::resolve(registry, &request)
+                        .unwrap_or_else(|e| panic!("{}: {}: {e}", table.full_name(), entry.name));
+                }
+            }
+        }
+    }
+
+    /// The printed averages are means of the printed rows, where all rows are printed; cells that are known to be wrong are named.
+    #[test]
+    fn averages_are_means_of_their_rows() {
+        // Printed averages that do not follow from their rows.
+        const KNOWN: [(&str, &str, &str); 2] =
+            [("fags-dnerf", "SC-GS", "psnr"), ("modec-hypernerf-interp", "MoDec-GS", "lpips")];
+        let mut checked = 0;
+        for table in Table::all().unwrap() {
+            for (entry, column) in table.entries.iter().flat_map(|e| (0..table.columns.len()).map(move |c| (e, c))) {
+                let rows: Option<Vec<f64>> =
+                    table.scenes.iter().map(|s| table.published(s, &entry.name, column)).collect();
+                let Some((rows, average)) = rows.zip(table.published_average(&entry.name, column)) else { continue };
+                if rows.is_empty() || KNOWN.contains(&(table.full_name().as_str(), &entry.name, &table.columns[column]))
+                {
+                    continue;
+                }
+                let mean = rows.iter().sum::<f64>() / rows.len() as f64;
+                let unit = 10f64.powi(-i32::try_from(Column::named(&table.columns[column]).unwrap().digits).unwrap());
+                let within = (0.6 * unit).max(4e-3 * average.abs());
+                assert!((mean - average).abs() <= within, "{} {}: {mean} {average}", table.full_name(), entry.name);
+                checked += 1;
+            }
+        }
+        assert!(checked > 40, "{checked}");
+    }
+
+    #[test]
+    fn an_unknown_table_is_named_with_those_there_are() {
+        let error = Table::find("fags", "dnref").unwrap_err().to_string();
+        assert!(error.contains("fags dnref") && error.contains("trace multipart"), "{error}");
+    }
+}

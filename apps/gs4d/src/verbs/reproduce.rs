@@ -1,0 +1,183 @@
+//! `gs4d reproduce`: the tables of the papers, run here.
+
+use super::jobs::{Jobs, with_missing};
+use crate::answer::Answer;
+use crate::failure::{Class, Failure};
+use crate::global::Global;
+use crate::output::create_folder;
+use crate::parse;
+use gs_core::io::write_file;
+use gs4d_lab::aligned;
+use gs4d_lab::contest::{Length, Results};
+use gs4d_reproduce::{Conditions, DataSet, ReproduceError, Reproduction, Table, TableError, documents, page};
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Run a table of one of the papers, published figures beside; without a table, list them
+#[derive(clap::Args)]
+pub struct ReproduceVerb {
+    /// fags, modec, trace or dut.
+    paper: Option<String>,
+    /// Name of the table; without -o it is shown, not run.
+    #[arg(requires = "paper")]
+    table: Option<String>,
+    /// A folder that holds the papers' data sets (repeatable). Where no scene of a table is there, generated ones are run.
+    #[arg(long, value_name = "DIR")]
+    data: Vec<PathBuf>,
+    /// Scenes, of the paper or generated [default: those that are there].
+    #[arg(long, value_delimiter = ',', value_name = "NAME")]
+    scenes: Vec<String>,
+    /// Seeds; everything runs once with each.
+    #[arg(long, value_delimiter = ',', default_value = "0,1,2")]
+    seeds: Vec<u64>,
+    /// Preset of all entries: fast (minutes), or published for the recipe of each entry in its paper (days on a CPU).
+    #[arg(long, default_value = "fast")]
+    preset: String,
+    /// Steps of every trial.
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
+    steps: Option<u32>,
+    /// Training time of every trial: recipes are stretched or compressed to fill it.
+    #[arg(long, value_name = "TIME", value_parser = parse::duration, conflicts_with = "steps")]
+    time_budget: Option<Duration>,
+    /// Factor of the images' size, in place of that of the table (0..1].
+    #[arg(long)]
+    scale: Option<f64>,
+    /// A setting of all trials (repeatable).
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    sets: Vec<String>,
+    /// Folder of generated scenes, trials and results; finished trials in it are not trained again.
+    #[arg(short, long, value_name = "DIR", requires = "table")]
+    out: Option<PathBuf>,
+    #[command(flatten)]
+    jobs: Jobs,
+    /// Run nothing: say which tables of the documents in this repository of gs4d name a preset that has changed since they were measured.
+    #[arg(long, value_name = "REPOSITORY", conflicts_with_all = ["paper", "out"])]
+    check: Option<PathBuf>,
+}
+
+impl ReproduceVerb {
+    pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+        if let Some(root) = &self.check {
+            return check(root, global);
+        }
+        let (Some(paper), Some(name)) = (&self.paper, &self.table) else {
+            return list(self.paper.as_deref(), &self.data);
+        };
+        let table = Table::find(paper, name).map_err(unknown)?;
+        let Some(root) = self.out else { return shown(&table, &self.data) };
+        let conditions = Conditions {
+            data: self.data,
+            scenes: self.scenes,
+            seeds: self.seeds,
+            preset: (self.preset != "published").then_some(self.preset),
+            length: Length::of(self.time_budget, self.steps),
+            scale: self.scale,
+            sets: self.sets,
+            root,
+        };
+        reproduce(&Reproduction::new(table, conditions).map_err(failure)?, &self.jobs, global)
+    }
+}
+
+fn reproduce(reproduction: &Reproduction, jobs: &Jobs, global: &Global) -> Result<Answer, Failure> {
+    let root = &reproduction.conditions.root;
+    create_folder(&root.join("data"))?;
+    reproduction.prepare().map_err(gs4d_run::RunError::from)?;
+    let contests = reproduction.contests(gs_methods::registry()).map_err(unknown)?;
+    if let Some(list) = jobs.plan(&contests, global)? {
+        return Ok(list);
+    }
+    let results: Vec<Results> = contests.iter().map(|c| jobs.results(c, global)).collect::<Result<_, _>>()?;
+    let outcome = reproduction.outcome(&results);
+    let missing: Vec<_> = results.into_iter().flat_map(|r| r.missing).collect();
+    let json = with_missing(json!(outcome), &missing);
+    for (name, content) in [("reproduce.json", format!("{json:#}\n")), ("reproduce.html", page::html(&outcome))] {
+        write_file(&root.join(name), true, |out| out.write_all(content.as_bytes()))?;
+    }
+    let text = format!("{}-> {}\n", page::text(&outcome), root.join("reproduce.html").display());
+    jobs.judge(Answer::new(text, json), missing, global)
+}
+
+/// The tables, with the number of their scenes that are there.
+fn list(paper: Option<&str>, roots: &[PathBuf]) -> Result<Answer, Failure> {
+    let all = Table::all().map_err(unknown)?;
+    if let Some(wrong) = paper.filter(|p| !all.iter().any(|t| t.paper == *p)) {
+        return Err(Failure::usage(format!("there is no paper `{wrong}`")).remedy("choose fags, modec, trace or dut"));
+    }
+    let sets = DataSet::all().map_err(unknown)?;
+    let (mut rows, mut values) = (Vec::new(), Vec::new());
+    for table in all.iter().filter(|t| paper.is_none_or(|p| t.paper == p)) {
+        let set = table.data.as_ref().and_then(|d| sets.get(d));
+        let here = set.map_or(0, |set| table.scenes.iter().filter(|s| set.folder(s, roots).is_some()).count());
+        let scenes = match set {
+            Some(_) => format!("{here} of {}", table.scenes.len()),
+            None => table.command.clone().unwrap_or_default(),
+        };
+        rows.push(vec![table.paper.clone(), table.name.clone(), table.title.clone(), table.source.clone(), scenes]);
+        values.push(json!({"paper": table.paper, "table": table.name, "title": table.title, "source": table.source,
+            "data": set, "scenes": table.scenes.len(), "here": here, "command": table.command}));
+    }
+    let head = ["paper", "table", "shows", "printed in", "scenes here"];
+    let text = aligned(&head, &rows, |_| true)
+        + "\nshow one: gs4d reproduce PAPER TABLE; run it: -o DIR, with --data DIR where its scenes are\n";
+    Ok(Answer::new(text, json!(values)))
+}
+
+/// A table that is not run: its published figures, its data.
+fn shown(table: &Table, roots: &[PathBuf]) -> Result<Answer, Failure> {
+    let mut text = page::published(table);
+    let set = table.data.as_deref().map(DataSet::find).transpose().map_err(unknown)?;
+    let mut scenes: Vec<Value> = Vec::new();
+    if let Some(set) = &set {
+        text.push_str(&format!("\n{}\nfrom {}; licence: {}\n{}\n", set.title, set.from, set.licence, set.layout));
+        for scene in &table.scenes {
+            let folder = set.folder(scene, roots).map(|f| f.display().to_string());
+            text.push_str(&format!("{:18} {}\n", scene.name, folder.as_deref().unwrap_or("not below --data")));
+            scenes.push(json!({"scene": scene.name, "folder": folder}));
+        }
+        let names: Vec<&str> = set.generated.iter().map(|g| g.name.as_str()).collect();
+        text.push_str(&format!("generated scenes that stand in: {}\n", names.join(", ")));
+        text.push_str("check a scene: gs4d doctor FOLDER; run the table: -o DIR\n");
+    }
+    Ok(Answer::new(text, json!({"table": table.full_name(), "source": table.source, "data": set, "scenes": scenes})))
+}
+
+/// Which tables of a repository's documents are older than the preset they name.
+fn check(root: &Path, global: &Global) -> Result<Answer, Failure> {
+    let checked = documents::check(root, gs_methods::registry()).map_err(|e| {
+        Failure::new(Class::Data, "data.documents", e.to_string())
+            .remedy("pass the repository of gs4d, the folder of README.md and docs")
+    })?;
+    let number = checked.findings.len();
+    let mut text: String = checked.findings.iter().map(|f| format!("{f}\n")).collect();
+    text.push_str(&format!("{} tables of figures, {number} findings\n", checked.tables.len()));
+    let answer = Answer::new(text, json!(checked));
+    if number == 0 {
+        return Ok(answer);
+    }
+    answer.print(global.json)?;
+    Err(Failure::new(Class::Verification, "documents", format!("tables of figures with findings: {number}")).remedy(
+        "measure the table again and keep the preset (gs4d config METHOD --preset PRESET > docs/presets/METHOD-PRESET.toml), or delete it",
+    ))
+}
+
+fn unknown(e: TableError) -> Failure {
+    match e {
+        TableError::Unknown { .. } => Failure::usage(e.to_string()).remedy("gs4d reproduce lists them"),
+        TableError::Wrong { .. } => Failure::new(Class::Internal, "internal", e.to_string()),
+    }
+}
+
+fn failure(e: ReproduceError) -> Failure {
+    let text = e.to_string();
+    match e {
+        ReproduceError::Table(e) => unknown(e),
+        ReproduceError::Command(command) => Failure::usage(text).remedy(command),
+        ReproduceError::UnknownScene { .. } => Failure::usage(text).remedy("choose one of these with --scenes"),
+        ReproduceError::AbsentScene { .. } => {
+            Failure::new(Class::Data, "data.absent", text).remedy("pass its folder, or the one above, with --data")
+        }
+        ReproduceError::Data(e) => gs4d_run::RunError::from(e).into(),
+    }
+}

@@ -1,0 +1,85 @@
+//! Tables of the papers: listed, shown, planned, run, collected; tables of the documents against presets.
+
+use crate::support::{Call, good, gs4d, text};
+use std::fs;
+use std::path::Path;
+
+const VIEWS: [&str; 6] = ["--train-views", "6", "--val-views", "1", "--test-views", "2"];
+
+fn scene(folder: &Path) {
+    good(&[&["synth", "balls", "--size", "24", "-o", text(folder)][..], &VIEWS].concat());
+}
+
+#[test]
+fn tables_are_listed_and_shown_with_what_is_there() {
+    let dir = tempfile::tempdir().unwrap();
+    fs::create_dir_all(dir.path().join("dnerf/hook")).unwrap();
+    let roots = ["--data", text(dir.path())];
+    let list = good(&[&["reproduce"][..], &roots].concat()).out;
+    let row = |name: &str| list.lines().find(|l| l.split_whitespace().nth(1) == Some(name)).unwrap().to_owned();
+    assert!(row("dnerf").contains("1 of 7") && list.contains("gs4d bench RUN"), "{list}");
+    let json = good(&["reproduce", "trace", "--json"]).json();
+    assert!(json.as_array().unwrap().iter().all(|t| t["paper"] == "trace" && t["table"].is_string()));
+    let shown = good(&[&["reproduce", "fags", "dnerf"][..], &roots].concat()).out;
+    for part in ["44.16", "albertpumarola", "dnerf/hook", "mutant             not below --data", "sheet-a"] {
+        assert!(shown.contains(part), "`{part}` is not in {shown}");
+    }
+    gs4d(&["reproduce", "nerf"]).fails(2, &["there is no paper `nerf`", "trace"]);
+    gs4d(&["reproduce", "fags", "nosuch"]).fails(2, &["fags nosuch", "modec iphone"]);
+    gs4d(&["reproduce", "dut", "runtime", "-o", text(&dir.path().join("o"))]).fails(2, &["gs4d bench RUN"]);
+}
+
+#[test]
+fn a_table_is_run_beside_its_figures_and_collected() {
+    let dir = tempfile::tempdir().unwrap();
+    let (captures, out, plan) = (dir.path().join("captures"), dir.path().join("out"), dir.path().join("jobs.txt"));
+    scene(&captures.join("hook"));
+    let base = ["reproduce", "fags", "dnerf", "--data", text(&captures), "--preset", "tiny", "--steps", "3"];
+    let with = |call: fn(&[&str]) -> Call, more: &[&str]| {
+        call(&[&base[..], &["--seeds", "0,1", "-o", text(&out)], more].concat())
+    };
+    with(good, &["--plan", text(&plan)]);
+    let lines = fs::read_to_string(&plan).unwrap();
+    assert_eq!(lines.lines().filter(|l| l.contains("captures/hook") && l.contains("--steps 3")).count(), 10, "{lines}");
+    let call = with(gs4d, &["--collect"]);
+    assert!(call.code == 7 && call.err.contains("trials without a result: 10"), "{}", call.err);
+
+    let answer = with(good, &[]).out;
+    for part in ["hook", "40.18", "FAGS less Grid4D: published +0.77 dB", "(95 %, 2 pairs): no order is shown"] {
+        assert!(answer.contains(part), "`{part}` is not in {answer}");
+    }
+    let json = with(good, &["--collect", "--json"]).json();
+    let entry = &json["scenes"][0]["entries"][0];
+    assert_eq!((entry["entry"].as_str(), entry["seeds"].as_array().unwrap().len()), (Some("FAGS"), 2));
+    assert_eq!(entry["values"][0]["published"], 40.18);
+    assert!(entry["values"][0]["ours"]["mean"].as_f64().unwrap() > 3.0 && entry["values"][2]["ours"].is_null());
+    let not_run: Vec<&str> = json["not_run"].as_array().unwrap().iter().map(|n| n["what"].as_str().unwrap()).collect();
+    assert!(["mutant", "SC-GS", "lpips"].iter().all(|what| not_run.contains(what)), "{not_run:?}");
+    let page = fs::read_to_string(out.join("reproduce.html")).unwrap();
+    assert!(page.contains("copying errors") && page.contains("The order of methods") && !page.contains("src=\"http"));
+}
+
+#[test]
+fn generated_scenes_stand_in_and_are_averaged() {
+    let dir = tempfile::tempdir().unwrap();
+    // What stands where a generated scene belongs is taken as it is.
+    ["sheet-a", "sheet-b"].iter().for_each(|name| scene(&dir.path().join("data").join(name)));
+    let call = ["reproduce", "fags", "ablation", "--preset", "tiny", "--steps", "2", "--seeds", "0"];
+    let json = good(&[&call[..], &["--scenes", "sheet-a,sheet-b", "-o", text(dir.path()), "--json"]].concat()).json();
+    let scenes = json["scenes"].as_array().unwrap();
+    assert_eq!((scenes.len(), scenes[2]["scene"].as_str()), (3, Some("mean over these scenes")));
+    assert!(scenes.iter().all(|s| s["generated"] == true));
+    let psnr = |k: usize| scenes[k]["entries"][0]["values"][0]["ours"]["mean"].as_f64().unwrap();
+    assert!((psnr(2) - 0.5 * (psnr(0) + psnr(1))).abs() < 1e-9);
+    assert_eq!(json["orders"][0]["pairs"], 2);
+    assert!(scenes[0]["entries"][0]["values"][0]["published"].is_null(), "the paper has no figure of it");
+}
+
+#[test]
+fn documents_of_another_folder_are_refused_and_ours_are_not_old() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let json = good(&["reproduce", "--check", text(&root), "--json"]).json();
+    assert!(json["tables"].as_array().unwrap().iter().all(|t| !t[1]["rows"].as_array().unwrap().is_empty()));
+    let dir = tempfile::tempdir().unwrap();
+    gs4d(&["reproduce", "--check", text(dir.path())]).fails(3, &["docs/tables.toml", "README.md"]);
+}

@@ -1,0 +1,151 @@
+//! LPIPS: the distance of two images in the features of a network, weighted by how people judged patches (Zhang et al. 2018).
+//!
+//! Colours in `[0, 1]` are shifted and scaled as published, put through the convolutions of AlexNet or VGG-16, and after each of five
+//! of them the features of a place are divided by their length. With `w` the learnt weight of a channel, at least 0:
+//! ```text
+//! LPIPS = Σ_layer mean over places Σ_channel w (x − y)²
+//! ```
+//! gs4d has no weights. They come from a file that the user makes once, with the packages `lpips` and `safetensors` of Python:
+//! ```text
+//! import lpips, safetensors.torch
+//! state = lpips.LPIPS(net="alex").state_dict()      # or "vgg"
+//! state = {k: v.contiguous() for k, v in state.items() if not k.startswith("lins.")}
+//! safetensors.torch.save_file(state, "lpips-alex.safetensors")
+//! ```
+//! [`Lpips::weights`] names the network and the checksum of the file, which belong beside every value. Papers print AlexNet (FAGS, MoDec-GS)
+//! or VGG (TRACE, DUT).
+//!
+//! **Numbers.** `f32`; distances agree with the package to 1e-5 of their value, for 0.1 and smaller ones to 1e-6. Bitwise the same for any number of threads.
+
+use crate::error::{MetricError, check_finite, check_pair};
+use crate::frozen::{Chain, Layer};
+use crate::weights::{Weights, WeightsError};
+use gs_core::Image;
+
+/// Added to the length of features.
+const EPSILON: f32 = 1e-10;
+/// The published shift and scale of colours in `[−1, 1]`, for colours in `[0, 1]`.
+const MEAN: [f32; 3] = [0.485, 0.456, 0.406];
+/// See [`MEAN`].
+const DEVIATION: [f32; 3] = [0.229, 0.224, 0.225];
+/// Channels of the convolutions of VGG-16; 0: a maximum over 2 × 2.
+const VGG16: [usize; 17] = [64, 64, 0, 128, 128, 0, 256, 256, 256, 0, 512, 512, 512, 0, 512, 512, 512];
+
+/// The network of the features.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LpipsNet {
+    /// AlexNet.
+    Alex,
+    /// VGG-16.
+    Vgg,
+}
+
+/// LPIPS with the weights of a file.
+pub struct Lpips {
+    net: LpipsNet,
+    chain: Chain,
+    /// Weights of the channels of each layer of features.
+    lines: Vec<Vec<f32>>,
+    checksum: u32,
+}
+
+impl Lpips {
+    /// From the bytes of a safetensors file with the state of `lpips.LPIPS`; the network is the one the file holds.
+    ///
+    /// # Errors
+    /// If the file cannot be read, or a parameter is missing, of another shape or not finite.
+    pub fn read(file: &[u8]) -> Result<Self, WeightsError> {
+        let weights = Weights::read(file)?;
+        // The first convolution of AlexNet has windows of 11 × 11.
+        let net = if weights.shape("net.slice1.0.weight").last() == Some(&11) { LpipsNet::Alex } else { LpipsNet::Vgg };
+        let (layers, taps, channels) = match net {
+            LpipsNet::Alex => alex(&weights)?,
+            LpipsNet::Vgg => vgg(&weights)?,
+        };
+        let line = |(k, channels): (usize, usize)| weights.values(&line_name(&weights, k), &[1, channels, 1, 1]);
+        let lines = channels.into_iter().enumerate().map(line).collect::<Result<_, _>>()?;
+        let chain = Chain { mean: MEAN, deviation: DEVIATION, layers, taps };
+        Ok(Self { net, chain, lines, checksum: crc32fast::hash(file) })
+    }
+
+    /// The network.
+    pub fn net(&self) -> LpipsNet {
+        self.net
+    }
+
+    /// The network and the CRC-32 of the file, for example `alex 1a2b3c4d`.
+    pub fn weights(&self) -> String {
+        let name = match self.net {
+            LpipsNet::Alex => "alex",
+            LpipsNet::Vgg => "vgg",
+        };
+        format!("{name} {:08x}", self.checksum)
+    }
+
+    /// The distance of two `[H, W, 3]` images with values in `[0, 1]`; 0 for equal ones.
+    ///
+    /// # Errors
+    /// Different or empty shapes, other than 3 channels, a side below 32 pixels or so, a value that is not finite.
+    pub fn distance(&self, a: &Image, b: &Image) -> Result<f64, MetricError> {
+        check_pair(a, b)?;
+        if a.channels != 3 {
+            return Err(MetricError::Channels { metric: "LPIPS", got: a.channels, need: "3" });
+        }
+        let need = self.chain.min_side();
+        if a.width < need || a.height < need {
+            let (width, height, hint) = (a.width, a.height, "compare larger images");
+            return Err(MetricError::TooSmall { metric: "LPIPS", need, width, height, hint });
+        }
+        check_finite("a", a)?;
+        check_finite("b", b)?;
+        let (x, y) = (self.chain.forward(a), self.chain.forward(b));
+        let layers = x.features().zip(y.features()).zip(&self.lines);
+        let total: f64 = layers.map(|((x, y), line)| layer_distance(x, y, line)).sum();
+        if total.is_finite() { Ok(total) } else { Err(MetricError::Overflow { metric: "LPIPS" }) }
+    }
+}
+
+/// Mean over places of the weighted squared differences of normalised features.
+fn layer_distance(x: &Image, y: &Image, line: &[f32]) -> f64 {
+    let place = |(x, y): (&[f32], &[f32])| {
+        let (a, b) = (inverse_length(x), inverse_length(y));
+        let terms = x.iter().zip(y).zip(line).map(|((x, y), w)| w * (x * a - y * b).powi(2));
+        f64::from(terms.sum::<f32>())
+    };
+    let places = x.data.chunks_exact(x.channels).zip(y.data.chunks_exact(y.channels));
+    places.map(place).sum::<f64>() / (x.width * x.height) as f64
+}
+
+fn inverse_length(v: &[f32]) -> f32 {
+    1.0 / (v.iter().map(|v| v * v).sum::<f32>().sqrt() + EPSILON)
+}
+
+/// The name of the learnt weights of a layer: with or without the drop-out that they are trained with.
+fn line_name(weights: &Weights, k: usize) -> String {
+    let bare = format!("lin{k}.model.0.weight");
+    if weights.has(&bare) { bare } else { format!("lin{k}.model.1.weight") }
+}
+
+type Built = (Vec<Layer>, Vec<usize>, Vec<usize>);
+
+fn alex(weights: &Weights) -> Result<Built, WeightsError> {
+    let conv = |name: &str, shape, channels| weights.conv(&format!("net.{name}"), shape, channels);
+    let pool = || Layer::Max { side: 3, stride: 2 };
+    let layers = vec![
+        conv("slice1.0", [11, 4, 2], [3, 64])?,
+        pool(),
+        conv("slice2.3", [5, 1, 2], [64, 192])?,
+        pool(),
+        conv("slice3.6", [3, 1, 1], [192, 384])?,
+        conv("slice4.8", [3, 1, 1], [384, 256])?,
+        conv("slice5.10", [3, 1, 1], [256, 256])?,
+    ];
+    Ok((layers, vec![0, 2, 4, 5, 6], vec![64, 192, 384, 256, 256]))
+}
+
+fn vgg(weights: &Weights) -> Result<Built, WeightsError> {
+    // Slices end after relu1_2, relu2_2, relu3_3, relu4_3 and relu5_3.
+    let slice = |index: usize| 1 + [4, 9, 16, 23].iter().filter(|first| index >= **first).count();
+    let layers = weights.vgg(&VGG16, |index| format!("net.slice{}.{index}", slice(index)))?;
+    Ok((layers, vec![1, 4, 8, 12, 16], vec![64, 128, 256, 512, 512]))
+}

@@ -1,0 +1,177 @@
+//! LPIPS against the package `lpips` 0.1.4 (torch 2), with weights that both sides make by the same formula: the published ones are not ours.
+
+use gs_core::Image;
+use gs_metrics::mrf::{FeatureNet, Mrf, MrfOptions};
+use gs_metrics::{Lpips, LpipsNet, MetricError, WeightsError};
+use safetensors::Dtype;
+use safetensors::tensor::TensorView;
+
+/// `n` multiples of 2⁻²⁴ in [0, 1) (SplitMix64).
+fn unit(n: usize, salt: u64) -> impl Iterator<Item = f64> {
+    (1..=n as u64).map(move |k| {
+        let mut z = k.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(salt);
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) >> 40) as f64 / 16_777_216.0
+    })
+}
+
+/// A parameter by its name.
+fn parameter(name: &str, shape: &[usize]) -> Vec<f32> {
+    let salt = name.bytes().enumerate().map(|(k, c)| u64::from(c) * (k as u64 + 1)).sum();
+    let n: usize = shape.iter().product();
+    let scale = (24.0 / (n / shape[0]) as f64).sqrt();
+    let value = |u: f64| match name {
+        _ if name.starts_with("lin") => 0.1 * u,
+        _ if name.ends_with("bias") => 0.1 * (u - 0.5),
+        _ => (u - 0.5) * scale,
+    };
+    unit(n, salt).map(|u| value(u) as f32).collect()
+}
+
+/// A safetensors file of parameters with these names and shapes.
+fn file(shapes: &[(String, Vec<usize>)]) -> Vec<u8> {
+    let bytes: Vec<(String, Vec<usize>, Vec<u8>)> = shapes
+        .iter()
+        .map(|(name, shape)| {
+            let values = parameter(name, shape);
+            (name.clone(), shape.clone(), values.iter().flat_map(|v| v.to_le_bytes()).collect())
+        })
+        .collect();
+    let views =
+        bytes.iter().map(|(name, shape, bytes)| (name, TensorView::new(Dtype::F32, shape.clone(), bytes).unwrap()));
+    safetensors::serialize(views, None).unwrap()
+}
+
+fn conv(name: &str, [outputs, inputs, kernel]: [usize; 3]) -> [(String, Vec<usize>); 2] {
+    [(format!("{name}.weight"), vec![outputs, inputs, kernel, kernel]), (format!("{name}.bias"), vec![outputs])]
+}
+
+fn lines(channels: [usize; 5]) -> impl Iterator<Item = (String, Vec<usize>)> {
+    channels.into_iter().enumerate().map(|(k, c)| (format!("lin{k}.model.1.weight"), vec![1, c, 1, 1]))
+}
+
+fn alex() -> Vec<(String, Vec<usize>)> {
+    let convs = [
+        ("slice1.0", [64, 3, 11]),
+        ("slice2.3", [192, 64, 5]),
+        ("slice3.6", [384, 192, 3]),
+        ("slice4.8", [256, 384, 3]),
+        ("slice5.10", [256, 256, 3]),
+    ];
+    let convs = convs.into_iter().flat_map(|(name, shape)| conv(&format!("net.{name}"), shape));
+    convs.chain(lines([64, 192, 384, 256, 256])).collect()
+}
+
+fn vgg16() -> Vec<(String, Vec<usize>)> {
+    let layers = [(1, 0, 64), (1, 2, 64), (2, 5, 128), (2, 7, 128), (3, 10, 256), (3, 12, 256), (3, 14, 256)];
+    let more = [(4, 17, 512), (4, 19, 512), (4, 21, 512), (5, 24, 512), (5, 26, 512), (5, 28, 512)];
+    let mut inputs = 3;
+    let convs: Vec<_> = layers
+        .into_iter()
+        .chain(more)
+        .flat_map(|(slice, index, outputs)| {
+            let shape = [outputs, std::mem::replace(&mut inputs, outputs), 3];
+            conv(&format!("net.slice{slice}.{index}"), shape)
+        })
+        .collect();
+    convs.into_iter().chain(lines([64, 128, 256, 512, 512])).collect()
+}
+
+fn vgg19() -> Vec<(String, Vec<usize>)> {
+    let layers =
+        [(0, 64), (2, 64), (5, 128), (7, 128), (10, 256), (12, 256), (14, 256), (16, 256), (19, 512), (21, 512)];
+    let mut inputs = 3;
+    let conv =
+        |(index, outputs)| conv(&format!("features.{index}"), [outputs, std::mem::replace(&mut inputs, outputs), 3]);
+    layers.into_iter().flat_map(conv).collect()
+}
+
+fn image(width: usize, height: usize, salt: u64) -> Image {
+    Image { width, height, channels: 3, data: unit(width * height * 3, salt).map(|u| u as f32).collect() }
+}
+
+/// Two images, and the first with a tenth of the second.
+fn images(width: usize, height: usize) -> [Image; 3] {
+    let (a, b) = (image(width, height, 1), image(width, height, 2));
+    let mixed = a.data.iter().zip(&b.data).map(|(a, b)| (0.9 * f64::from(*a) + 0.1 * f64::from(*b)) as f32).collect();
+    [a.clone(), b, Image { data: mixed, ..a }]
+}
+
+#[test]
+fn distances_are_those_of_the_package() {
+    // Evaluated there in f64.
+    let cases = [
+        (LpipsNet::Alex, alex(), (67, 45), [0.095_281_768_465, 0.001_325_295_488]),
+        (LpipsNet::Alex, alex(), (64, 64), [0.094_228_770_998, 0.001_245_612_779]),
+        (LpipsNet::Vgg, vgg16(), (67, 45), [0.070_740_213_436, 0.001_532_433_690]),
+        (LpipsNet::Vgg, vgg16(), (64, 64), [0.070_361_241_695, 0.001_527_998_076]),
+    ];
+    for (net, shapes, (width, height), want) in cases {
+        let lpips = Lpips::read(&file(&shapes)).unwrap();
+        assert_eq!(lpips.net(), net);
+        let [a, b, mixed] = images(width, height);
+        for (other, want) in [(&b, want[0]), (&mixed, want[1])] {
+            let got = lpips.distance(&a, other).unwrap();
+            println!("{net:?} {width}x{height}: {got:.9}, package {want:.9}");
+            assert!((got - want).abs() < 1e-5 * want, "{net:?}: {got} {want}");
+        }
+        assert_eq!(lpips.distance(&a, &a).unwrap(), 0.0);
+        assert_eq!(lpips.distance(&a, &b).unwrap(), lpips.distance(&b, &a).unwrap());
+    }
+}
+
+#[test]
+fn threads_do_not_change_a_bit() {
+    let lpips = Lpips::read(&file(&alex())).unwrap();
+    let [a, b, _] = images(67, 45);
+    let with = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| lpips.distance(&a, &b).unwrap().to_bits())
+    };
+    assert_eq!(with(1), with(3));
+}
+
+#[test]
+fn files_that_do_not_fit_are_refused_by_the_parameter() {
+    let refused = |file: &[u8]| Lpips::read(file).err().unwrap();
+    assert!(matches!(refused(b"no weights"), WeightsError::Format(_)));
+    let mut shapes = alex();
+    let missing = shapes.remove(2);
+    assert!(matches!(refused(&file(&shapes)), WeightsError::Missing { name, .. } if name == missing.0));
+    shapes.insert(2, (missing.0.clone(), vec![192, 64, 3, 3]));
+    let error = refused(&file(&shapes)).to_string();
+    assert!(error.contains(&missing.0) && error.contains("[192, 64, 5, 5]"), "{error}");
+    let whole = file(&alex());
+    assert!((0..64).all(|k| Lpips::read(&whole[..whole.len() * k / 64]).is_err()), "a part of a file is no file");
+    let (name, lpips) = ("alex ", Lpips::read(&whole).unwrap());
+    assert!(lpips.weights().starts_with(name) && lpips.weights().len() == name.len() + 8);
+    assert!(matches!(
+        lpips.distance(&image(16, 16, 1), &image(16, 16, 2)),
+        Err(MetricError::TooSmall { need: 31, .. })
+    ));
+}
+
+/// The gradient of the MRF loss on VGG-19 goes back through maxima over windows; by differences along random parts of it.
+#[test]
+fn the_mrf_loss_on_vgg_19_has_the_gradient_of_its_value() {
+    let net = FeatureNet::vgg19(&file(&vgg19())).unwrap();
+    let mrf = Mrf::new(net, MrfOptions { side: 32, ..MrfOptions::default() }).unwrap();
+    let [a, b, _] = images(32, 32);
+    let mut grad = Image::default();
+    mrf.value_and_grad(&a, &b, &mut grad).unwrap();
+    for salt in [7, 8, 9] {
+        let part: Vec<f64> = unit(a.data.len(), salt).zip(&grad.data).map(|(u, g)| u * f64::from(*g)).collect();
+        let length = part.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let moved = |h: f64| {
+            let data = a.data.iter().zip(&part).map(|(v, d)| (f64::from(*v) + h * d / length) as f32).collect();
+            mrf.value(&Image { data, ..a.clone() }, &b).unwrap().total
+        };
+        let h = 2e-2;
+        let slope = (moved(h) - moved(-h)) / (2.0 * h);
+        let of_gradient = part.iter().zip(&grad.data).map(|(d, g)| d * f64::from(*g)).sum::<f64>() / length;
+        println!("{slope:.6} {of_gradient:.6}");
+        assert!((slope / of_gradient - 1.0).abs() < 2e-2, "{slope} {of_gradient}");
+    }
+    assert!(FeatureNet::vgg19(&file(&alex())).is_err());
+}
