@@ -62,6 +62,8 @@ pub mod sharpness;
 pub mod spectrum;
 pub mod ssim;
 mod sweep;
+#[cfg(feature = "testkit")]
+pub mod testkit;
 pub mod tof;
 pub mod trajectory;
 mod weights;

@@ -41,6 +41,7 @@ pub enum LpipsNet {
 }
 
 /// LPIPS with the weights of a file.
+#[derive(Clone, Debug)]
 pub struct Lpips {
     net: LpipsNet,
     chain: Chain,

@@ -1,6 +1,6 @@
 //! Scores of a method on a split of a data set.
 //!
-//! Frames are compared as they were rendered: `f32`, clamped to `[0, 1]`, not rounded to 8 bit. SSIM is that of the 3DGS
+//! Frames are compared as they were rendered: `f32`, clamped to `[0, 1]`, not rounded to 8 bit unless [`Scoring::quantise`] asks for it. SSIM is that of the 3DGS
 //! family (zeros outside the image). Both averages of PSNR are given: the mean of the views' values (what papers of the
 //! family print) and the PSNR of the mean squared error.
 //!
@@ -21,8 +21,8 @@ use crate::timestamp::Timestamp;
 use gs_core::{Camera, Image, Splats};
 use gs_data::{DataError, Dataset, ImageCache, Split, View};
 use gs_metrics::{
-    Mean, MetricError, Scorer, Scores, Sharpness, SsimOptions, Summary, masked_mse, masked_perceptual_proxy,
-    masked_ssim, person_scores, psnr_from_mse,
+    Lpips, Mean, MetricError, Quantise, Scorer, Scores, Sharpness, SsimOptions, Summary, masked_mse,
+    masked_perceptual_proxy, masked_ssim, person_scores, psnr_from_mse,
 };
 use gs_raster::{DeviceError, Frame};
 use serde::{Deserialize, Serialize};
@@ -31,6 +31,16 @@ use std::sync::Arc;
 /// How the frames were compared, in words, for the report.
 pub const PROTOCOL: &str = "f32 frames clamped to [0, 1], not quantised; SSIM 11x11 with zero padding; perceptual_proxy is not LPIPS; masked scores \
      where views carry masks: PSNR over weighted pixels, SSIM by partial convolution (DyCheck)";
+
+/// [`PROTOCOL`] of frames that are rounded.
+fn protocol(quantise: Quantise) -> String {
+    let rounded = match quantise {
+        Quantise::None => return PROTOCOL.to_owned(),
+        Quantise::Round => "frames and truths clamped to [0, 1] and rounded to 8 bit",
+        Quantise::Truncate => "frames clamped to [0, 1] and truncated to 8 bit, truths rounded",
+    };
+    PROTOCOL.replace("f32 frames clamped to [0, 1], not quantised", rounded)
+}
 
 /// Scores where the mask of a view counts, or their means over the views that have one with any weight.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -108,6 +118,9 @@ pub struct ViewScores {
     pub ms_ssim: Option<f64>,
     /// The weight-free perceptual distance of gs-metrics.
     pub perceptual_proxy: f64,
+    /// LPIPS, where it was asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lpips: Option<f64>,
     /// Variance of the Laplacian over that of the image: below 1 blurred; absent where the image is even.
     #[serde(default)]
     pub laplacian_ratio: Option<f64>,
@@ -133,6 +146,9 @@ pub struct MeanScores {
     pub ms_ssim: Option<f64>,
     /// Mean perceptual distance; absent without views.
     pub perceptual_proxy: Option<f64>,
+    /// Mean LPIPS, where it was asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lpips: Option<f64>,
     /// Mean ratio of Laplacian variances of the views that have one.
     #[serde(default)]
     pub laplacian_ratio: Option<f64>,
@@ -157,6 +173,9 @@ pub struct EvalReport {
     pub scale: f64,
     /// How the frames were compared.
     pub protocol: String,
+    /// Network and checksum of the weights of LPIPS, where it was asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lpips_weights: Option<String>,
     /// Means of the scores over `views`.
     pub mean: MeanScores,
     /// PSNR of the mean squared error over views, dB; absent when every view is perfect.
@@ -241,7 +260,7 @@ pub fn evaluate(
     images: &ImageCache,
 ) -> Result<EvalReport, EvalError> {
     let (share, device) = Default::default();
-    evaluate_with(model, dataset, split, &Scoring { background, images, share: &share, device: &device })
+    evaluate_with(model, dataset, split, &Scoring::new(background, images, &share, &device))
 }
 
 /// How views are rendered and scored, and who does it.
@@ -255,6 +274,17 @@ pub struct Scoring<'a> {
     pub share: &'a Share,
     /// What renders.
     pub device: &'a Device,
+    /// Rounding of frames to 8 bit; unless it is [`Quantise::None`], truths are rounded over their background.
+    pub quantise: Quantise,
+    /// Scores LPIPS as well.
+    pub lpips: Option<&'a Lpips>,
+}
+
+impl<'a> Scoring<'a> {
+    /// Frames that are not rounded, without LPIPS.
+    pub fn new(background: [f32; 3], images: &'a ImageCache, share: &'a Share, device: &'a Device) -> Self {
+        Self { background, images, share, device, quantise: Quantise::None, lpips: None }
+    }
 }
 
 /// The same by these ranks on this device.
@@ -281,7 +311,7 @@ pub fn evaluate_splats(
     split: Split,
     scoring: &Scoring<'_>,
 ) -> Result<EvalReport, EvalError> {
-    let Scoring { background, images, share, device } = *scoring;
+    let Scoring { background, images, share, device, quantise, lpips } = *scoring;
     let views = dataset.views(split);
     if views.is_empty() {
         return Err(EvalError::NoViews(split_name(split)));
@@ -297,13 +327,19 @@ pub fn evaluate_splats(
         let splats = splats.map_err(|e| EvalError::Method { view: view.name.clone(), source: Box::new(e) })?;
         rasterizer.render_into(splats.view(), &camera, &options, &mut frame)?;
         let image = images.get(view)?;
-        let truth = image.over(background);
+        let mut truth = image.over(background);
         // Of a filmed person, the person counts.
         let mask = images.mask(view)?.or_else(|| dataset.avatar.is_some().then(|| Arc::new(image.alpha())));
-        let rendered = clamped(&frame);
-        let scored = scorer
-            .score(&rendered, &truth)
-            .and_then(|scores| Ok((ViewScores::of(view, &scores, &rendered, &truth, mask.as_deref())?, scores.mse)));
+        let mut rendered = clamped(&frame);
+        if quantise != Quantise::None {
+            quantise.apply(&mut rendered);
+            Quantise::Round.apply(&mut truth);
+        }
+        let scored = scorer.score(&rendered, &truth).and_then(|scores| {
+            let view = ViewScores::of(view, &scores, &rendered, &truth, mask.as_deref())?;
+            let lpips = lpips.map(|lpips| lpips.distance(&rendered, &truth)).transpose()?;
+            Ok((ViewScores { lpips, ..view }, scores.mse))
+        });
         let scored = scored.map(|(scores, mse)| (ViewScores { camera: corrections[k], ..scores }, mse));
         scored.map_err(|source| EvalError::Metric { view: view.name.clone(), source })
     })?;
@@ -315,7 +351,8 @@ pub fn evaluate_splats(
         split: split_name(split).to_owned(),
         background,
         scale: images.scale(),
-        protocol: PROTOCOL.to_owned(),
+        protocol: protocol(quantise),
+        lpips_weights: lpips.map(Lpips::weights),
         mean: mean_scores(&summary, &views),
         psnr_of_mean_mse: summary.psnr_of_mean_mse.filter(|v| v.is_finite()),
         perfect_views: summary.mean_psnr.infinite,
@@ -353,6 +390,7 @@ fn mean_scores(summary: &Summary, views: &[ViewScores]) -> MeanScores {
         ssim: summary.ssim.value,
         ms_ssim: summary.ms_ssim.value,
         perceptual_proxy: summary.perceptual_proxy.value,
+        lpips: mean(|v| v.lpips),
         laplacian_ratio: mean(|v| v.laplacian_ratio),
         high_band_ratio: mean(|v| v.high_band_ratio),
         masked: MaskedScores::mean(views.iter().filter_map(|v| v.masked)),
@@ -376,6 +414,7 @@ impl ViewScores {
             ssim: scores.ssim,
             ms_ssim: scores.ms_ssim,
             perceptual_proxy: scores.perceptual_proxy,
+            lpips: None,
             laplacian_ratio: sharpness.and_then(|s| s.laplacian),
             high_band_ratio: sharpness.and_then(|s| s.high_band),
             camera: None,

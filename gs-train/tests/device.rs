@@ -74,7 +74,7 @@ fn renders_and_scores_name_what_failed() {
 
     let share = Share::default();
     let score = |device: &Device| {
-        let scoring = Scoring { background: [0.0; 3], images: &images, share: &share, device };
+        let scoring = Scoring::new([0.0; 3], &images, &share, device);
         evaluate_with(model, &data, Split::Test, &scoring)
     };
     assert!(matches!(score(&fake_device(3).0), Err(EvalError::Device(_))));

@@ -5,7 +5,8 @@
 
 use gs_core::Image;
 use gs_metrics::{
-    Mean, MetricError, MsSsim, MsSsimOptions, Ssim, SsimOptions, mse, perceptual_proxy, psnr_from_mse, psnr_of_mean_mse,
+    Lpips, Mean, MetricError, MsSsim, MsSsimOptions, Ssim, SsimOptions, mse, perceptual_proxy, psnr_from_mse,
+    psnr_of_mean_mse,
 };
 use gs_train::evaluate::MaskedScores;
 use serde::Serialize;
@@ -44,6 +45,9 @@ pub struct ImageScores {
     pub ms_ssim: Option<f64>,
     /// Perceptual distance without weights, not LPIPS; less is better.
     pub perceptual_proxy: Option<f64>,
+    /// LPIPS; absent if not asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lpips: Option<f64>,
     /// Scores within the mask; absent without mask, or with an empty one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub masked: Option<MaskedScores>,
@@ -67,6 +71,9 @@ pub struct Means {
     pub ms_ssim: Option<f64>,
     /// Mean perceptual distance; absent if not asked for.
     pub perceptual_proxy: Option<f64>,
+    /// Mean LPIPS; absent if not asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lpips: Option<f64>,
     /// Means of the masked scores, where there are masks.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub masked: Option<MaskedScores>,
@@ -102,6 +109,7 @@ pub struct SetScores {
 #[derive(Debug)]
 pub struct Comparer {
     metrics: Vec<Metric>,
+    lpips: Option<Lpips>,
     ssim: Ssim,
     ms_ssim: MsSsim,
     views: Vec<ImageScores>,
@@ -111,7 +119,12 @@ impl Comparer {
     /// A comparer for these metrics.
     pub fn new(metrics: &[Metric]) -> Self {
         let ssim = Ssim::new(SsimOptions::default());
-        Self { metrics: metrics.to_vec(), ssim, ms_ssim: MsSsim::default(), views: Vec::new() }
+        Self { metrics: metrics.to_vec(), lpips: None, ssim, ms_ssim: MsSsim::default(), views: Vec::new() }
+    }
+
+    /// The same with LPIPS, if there is one.
+    pub fn with_lpips(self, lpips: Option<Lpips>) -> Self {
+        Self { lpips, ..self }
     }
 
     /// Scores an image `[H, W, C]` against its ground truth, and within the mask `[H, W, 1]` if there is one.
@@ -131,6 +144,7 @@ impl Comparer {
                 Metric::PerceptualProxy => scores.perceptual_proxy = Some(perceptual_proxy(image, truth)?),
             }
         }
+        scores.lpips = self.lpips.as_ref().map(|lpips| lpips.distance(image, truth)).transpose()?;
         scores.masked = mask.map(|m| MaskedScores::of(image, truth, m)).transpose()?.flatten();
         scores.psnr = scores.mse.map(psnr_from_mse).filter(|p| p.is_finite());
         self.views.push(scores);
@@ -147,6 +161,7 @@ impl Comparer {
                 ssim: mean(|v| v.ssim),
                 ms_ssim: mean(|v| v.ms_ssim),
                 perceptual_proxy: mean(|v| v.perceptual_proxy),
+                lpips: mean(|v| v.lpips),
                 masked: MaskedScores::mean(self.views.iter().filter_map(|v| v.masked)),
             },
             psnr_of_mean_mse: psnr_of_mean_mse(&mses).filter(|p| p.is_finite()),

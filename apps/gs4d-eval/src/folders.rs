@@ -8,8 +8,8 @@ mod images;
 
 use crate::compare::{Comparer, Metric, SetScores};
 use gs_core::io::IoError;
+pub use gs_metrics::{Lpips, Quantise, TofOptions};
 use gs_metrics::{MetricError, Tof, TofScore};
-pub use gs_metrics::{Quantise, TofOptions};
 use images::{ImageFolder, Loaded, load_mask, load_over};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -25,6 +25,8 @@ pub struct FolderTask {
     pub mask: Option<PathBuf>,
     /// Metrics that are computed over whole images.
     pub metrics: Vec<Metric>,
+    /// LPIPS with these weights, if it is asked for.
+    pub lpips: Option<Lpips>,
     /// Options of the temporal metric tOF, if the images are the frames of one video.
     pub tof: Option<TofOptions>,
     /// Quantisation of the images; unless it is [`Quantise::None`], ground truth is rounded to 8 bit.
@@ -193,7 +195,7 @@ pub fn score(task: &FolderTask) -> Result<FolderScores, FolderError> {
     let truths = images.partners(&truths, false)?;
     let masks = task.mask.as_deref().map(ImageFolder::of).transpose()?;
     let masks = masks.as_ref().map(|m| images.partners(m, true)).transpose()?;
-    let mut comparer = Comparer::new(&task.metrics);
+    let mut comparer = Comparer::new(&task.metrics).with_lpips(task.lpips.clone());
     let mut video = task.tof.map(Tof::new);
     let mut behinds = Behinds::default();
     for (i, (image_file, truth)) in images.files().iter().zip(&truths).enumerate() {
@@ -238,6 +240,7 @@ fn protocol(task: &FolderTask, clear: bool) -> String {
         let [r, g, b] = task.background;
         parts.push(format!("transparent pixels over {r},{g},{b}"));
     }
+    parts.extend(task.lpips.as_ref().map(|lpips| format!("lpips: weights {}", lpips.weights())));
     if task.mask.is_some() {
         parts.push(
             "masked: m-psnr over weighted pixels, m-ssim by partial convolution (DyCheck); f-psnr over the whole frame with the eroded \
@@ -280,6 +283,7 @@ mod tests {
             gt: root.join("gt"),
             mask: None,
             metrics: vec![Metric::Psnr],
+            lpips: None,
             tof: Some(TofOptions::default()),
             quantise: Quantise::Round,
             background: [0.0; 3],
@@ -329,8 +333,8 @@ mod tests {
         let scored = |background: [f32; 3], gt: &Path| {
             let metrics = vec![Metric::Psnr];
             let (pred, gt) = (pred.clone(), gt.to_owned());
-            score(&FolderTask { pred, gt, mask: None, metrics, tof: None, quantise: Quantise::Round, background })
-                .unwrap()
+            let task = FolderTask { pred, gt, metrics, background, tof: None, ..task(dir.path()) };
+            score(&task).unwrap()
         };
         let black = scored([0.0; 3], &gt);
         let behind = black.behind.unwrap();

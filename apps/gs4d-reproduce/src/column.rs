@@ -17,17 +17,17 @@ fn masked(r: &EvalReport) -> Option<MaskedScores> {
     r.mean.masked
 }
 
-/// The columns of tables that are run. A contest measures neither `lpips` (it needs weights that are not ours) nor `tof`.
+/// The columns of tables that are run. `lpips` is there where the user has weights ([`Reproduction::score_lpips`](crate::Reproduction::score_lpips)); `tof` is not measured.
 const COLUMNS: [Column; 11] = [
     Column { name: "psnr", digits: 2, of: |r| r.mean.psnr },
     Column { name: "ssim", digits: 4, of: |r| r.mean.ssim },
     Column { name: "ms_ssim", digits: 4, of: |r| r.mean.ms_ssim },
-    Column { name: "lpips", digits: 3, of: |_| None },
+    Column { name: "lpips", digits: 3, of: |r| r.mean.lpips },
     Column { name: "masked_psnr", digits: 2, of: |r| masked(r)?.psnr },
     Column { name: "masked_ssim", digits: 4, of: |r| masked(r)?.ssim },
     Column { name: "future_psnr", digits: 2, of: EvalReport::extrapolated_psnr },
     Column { name: "future_ssim", digits: 4, of: |r| r.extrapolate.as_ref()?.mean.ssim },
-    Column { name: "future_lpips", digits: 3, of: |_| None },
+    Column { name: "future_lpips", digits: 3, of: |r| r.extrapolate.as_ref()?.mean.lpips },
     Column { name: "tof", digits: 3, of: |_| None },
     Column { name: "megabytes", digits: 2, of: |r| Some(r.parameter_bytes as f64 * 1e-6) },
 ];

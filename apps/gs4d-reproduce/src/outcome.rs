@@ -301,9 +301,16 @@ fn not_run(reproduction: &Reproduction, results: &[Results]) -> Vec<NotRun> {
     let scenes = absent.iter().map(|s| row(s, format!("not below --data; from {}; {}", set.from, set.layout)));
     let entries = table.entries.iter().filter(|e| e.run.is_none());
     let entries = entries.map(|e| row(&e.name, "no method of gs4d".to_owned()));
-    let columns = table.columns.iter().filter_map(|column| {
+    let measured = |column: &str| {
+        let Some(column) = Column::named(column) else { return false };
+        let trials = results.iter().flat_map(|r| &r.standings).flat_map(|s| &s.trials);
+        trials.into_iter().any(|t| (column.of)(&t.scores).is_some())
+    };
+    let columns = table.columns.iter().filter(|c| !measured(c)).filter_map(|column| {
         let why = match column.as_str() {
-            "lpips" | "future_lpips" => "needs weights that gs4d does not have; the perceptual proxy stands beside",
+            "lpips" | "future_lpips" => {
+                "needs weights that gs4d does not have (--lpips FILE); the perceptual proxy stands beside"
+            }
             "tof" => "measured by gs4d eval --pred --gt --metrics tof on rendered frames",
             _ => return None,
         };

@@ -4,9 +4,14 @@ use crate::outcome::Outcome;
 use crate::sets::{DataSet, Generated};
 use crate::table::{Scene, Table, TableEntry, TableError};
 use gs_data::DataError;
+use gs_metrics::Lpips;
 use gs_train::registry::Registry;
 use gs4d_lab::contest::{Contest, Entry, Length, Results};
-use std::path::PathBuf;
+use gs4d_run::folder::METRICS;
+use gs4d_run::opened::metrics_json;
+use gs4d_run::{OpenRun, RunError};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// How a table is run.
 #[derive(Clone, Debug)]
@@ -164,18 +169,45 @@ impl Reproduction {
             data,
             root: root.join(scene.name()),
             preset: "fast".to_owned(),
-            entries: self.entries()?,
+            entries: self.entries(scene)?,
             seeds: seeds.clone(),
             length: *length,
             sets: own.into_iter().chain(scale).chain(sets.iter().cloned()).collect(),
         })
     }
 
-    /// The entries of every contest, in the order of [`Table::runnable`].
-    fn entries(&self) -> Result<Vec<Entry>, TableError> {
+    /// The entries of the contest of a scene, in the order of [`Table::runnable`].
+    fn entries(&self, scene: &Chosen) -> Result<Vec<Entry>, TableError> {
+        let own = |e: &TableEntry| match scene {
+            Chosen::Published(scene, _) => scene.own.get(&e.name).map_or(&[][..], Vec::as_slice),
+            Chosen::Generated(_) => &[],
+        };
         let preset = |e: &TableEntry| self.conditions.preset.clone().unwrap_or_else(|| e.preset.clone());
         let wrong = |why| TableError::Wrong { name: self.table.full_name(), why };
-        self.table.runnable().map(|e| e.contest_entry(&preset(e), &[]).map_err(wrong)).collect()
+        self.table.runnable().map(|e| e.contest_entry(&preset(e), own(e)).map_err(wrong)).collect()
+    }
+
+    /// Scores the trials once more with LPIPS, unless they have it by these weights, and keeps the scores in their folders.
+    ///
+    /// # Errors
+    /// If a run or its data cannot be read, an image is too small, or scores cannot be kept.
+    pub fn score_lpips(
+        results: &mut [Results],
+        registry: &Registry,
+        lpips: &Arc<Lpips>,
+        on_trial: &mut dyn FnMut(&Path),
+    ) -> Result<(), RunError> {
+        let weights = lpips.weights();
+        let trials = results.iter_mut().flat_map(|r| &mut r.standings).flat_map(|s| &mut s.trials);
+        for trial in trials.filter(|t| t.scores.lpips_weights.as_ref() != Some(&weights)) {
+            on_trial(&trial.run);
+            let mut run = OpenRun::open(registry, &trial.run)?;
+            run.lpips = Some(lpips.clone());
+            trial.scores = run.score_for_folder(&run.open_data()?)?;
+            let json = metrics_json(&trial.scores, run.loaded.step);
+            run.folder()?.write(METRICS, &format!("{json:#}\n"))?;
+        }
+        Ok(())
     }
 
     /// Our figures beside the published ones, from the results of [`Self::contests`].
@@ -238,8 +270,21 @@ mod tests {
         let root = tempfile::tempdir().unwrap();
         let published = Conditions { preset: None, ..conditions(root.path()) };
         let table = Reproduction::new(Table::find("fags", "neu3d").unwrap(), published).unwrap();
-        let labels = table.entries().unwrap().into_iter().map(|e| e.label).collect::<Vec<_>>();
+        let labels = table.entries(&table.scenes[0]).unwrap().into_iter().map(|e| e.label).collect::<Vec<_>>();
         assert_eq!(labels, ["fags:neu3d", "grid4d:neu3d", "fourdgs:paper"]);
+    }
+
+    #[test]
+    fn a_scene_has_settings_of_its_own_for_one_entry() {
+        let root = tempfile::tempdir().unwrap();
+        std::fs::create_dir_all(root.path().join("captures/skating")).unwrap();
+        let table = Reproduction::new(Table::find("trace", "real").unwrap(), conditions(root.path())).unwrap();
+        let contest = table.contests(gs_methods::registry()).unwrap().remove(0);
+        assert_eq!(contest.entries[0].label, "trace:tiny physics.start=0.35");
+        assert_eq!(
+            (contest.entries[3].label.as_str(), contest.sets[0].as_str()),
+            ("defgs:tiny", "data.time_boundary=0.65")
+        );
     }
 
     #[test]

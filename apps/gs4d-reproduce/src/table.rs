@@ -100,6 +100,9 @@ pub struct Scene {
     /// Settings of all entries on this scene, `KEY=VALUE`.
     #[serde(default)]
     pub sets: Vec<String>,
+    /// Settings of single entries on this scene, `KEY=VALUE` by name of the entry.
+    #[serde(default)]
+    pub own: BTreeMap<String, Vec<String>>,
     /// Published figures by entry, as those of [`Table::average`].
     #[serde(default)]
     pub published: BTreeMap<String, Vec<f64>>,
@@ -177,8 +180,11 @@ impl Table {
                 return Err(format!("figures of {entry} belong to no entry or column"));
             }
         }
-        for entry in self.entries.iter().filter(|e| e.run.is_some()) {
+        for entry in self.runnable() {
             entry.contest_entry("fast", &[])?;
+        }
+        if let Some(entry) = self.scenes.iter().flat_map(|s| s.own.keys()).find(|e| !known(e)) {
+            return Err(format!("settings of {entry} belong to no entry"));
         }
         match self.columns.iter().find(|c| self.data.is_some() && Column::named(c).is_none()) {
             Some(column) => Err(format!("no contest has the column {column}")),
@@ -240,13 +246,15 @@ mod tests {
         let registry = gs_methods::registry();
         for table in Table::all().unwrap() {
             for entry in table.runnable() {
+                let of_scenes = table.scenes.iter().flat_map(|s| s.own.get(&entry.name).into_iter().chain([&s.sets]));
+                let of_scenes: Vec<String> = of_scenes.flatten().cloned().collect();
                 for preset in ["fast", &entry.preset] {
                     let method = entry.run.as_deref().unwrap().split(' ').next().unwrap();
                     let sets = entry.run.as_deref().unwrap().split(' ').skip(1).map(str::to_owned);
                     let request = gs4d_run::settings::Request {
                         method: method.into(),
                         preset: preset.into(),
-                        sets: table.sets.iter().cloned().chain(sets).collect(),
+                        sets: table.sets.iter().cloned().chain(sets).chain(of_scenes.clone()).collect(),
                         ..Default::default()
                     };
                     gs4d_run::settings::resolve(registry, &request)

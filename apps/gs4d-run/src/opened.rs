@@ -7,6 +7,7 @@ use super::{Resolved, RunError};
 use crate::compact::{self, SETTINGS};
 use crate::kept::Kept;
 use gs_data::{Dataset, ImageCache, Split, View};
+use gs_metrics::{Lpips, Quantise};
 use gs_train::checkpoint::{self, Checkpoint, Newest, Skipped};
 use gs_train::device::Device;
 use gs_train::evaluate::{EvalReport, Scoring, evaluate_with, evaluate_with_future};
@@ -32,6 +33,10 @@ pub struct OpenRun {
     pub share: Arc<Share>,
     /// The device that renders it where it is scored.
     pub device: Device,
+    /// Rounding of frames to 8 bit before they are scored.
+    pub quantise: Quantise,
+    /// Scores LPIPS as well.
+    pub lpips: Option<Arc<Lpips>>,
     /// What was kept of the data, as JSON.
     kept: Option<Value>,
     /// Whether the folder of the data was given, instead of the one the run has kept.
@@ -91,7 +96,8 @@ impl OpenRun {
             .map_err(gs_train::trainer::TrainError::State)?;
         let Newest { path, skipped, .. } = newest;
         let (share, device, moved) = (Arc::default(), Device::default(), data.is_some());
-        Ok(Self { folder, resolved, loaded, path, skipped, share, device, kept, moved })
+        let (quantise, lpips) = Default::default();
+        Ok(Self { folder, resolved, loaded, path, skipped, share, device, quantise, lpips, kept, moved })
     }
 
     /// The data set of the run.
@@ -146,7 +152,11 @@ impl OpenRun {
 
     /// How its views are scored: by its ranks, on its device.
     pub fn scoring<'a>(&'a self, background: [f32; 3], images: &'a ImageCache) -> Scoring<'a> {
-        Scoring { background, images, share: &self.share, device: &self.device }
+        Scoring {
+            quantise: self.quantise,
+            lpips: self.lpips.as_deref(),
+            ..Scoring::new(background, images, &self.share, &self.device)
+        }
     }
 
     /// Scores a split of the run's data.

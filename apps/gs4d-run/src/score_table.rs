@@ -118,11 +118,12 @@ type Metric = (&'static str, usize, Option<f64>, fn(&ViewScores) -> Option<f64>,
 fn metric_rows(s: &EvalReport, of: &str) -> Vec<[String; 5]> {
     let (mean, masked) = (s.mean, s.mean.masked);
     let in_mask = |value: fn(&MaskedScores) -> Option<f64>| masked.as_ref().and_then(value);
-    let metrics: [Metric; 8] = [
+    let metrics: [Metric; 9] = [
         ("PSNR, dB: mean of views", 2, mean.psnr, |v| v.psnr, true),
         ("SSIM", 4, mean.ssim, |v| Some(v.ssim), true),
         ("MS-SSIM", 4, mean.ms_ssim, |v| v.ms_ssim, true),
         ("perceptual proxy (not LPIPS; less is better)", 4, mean.perceptual_proxy, |v| Some(v.perceptual_proxy), false),
+        ("LPIPS (less is better)", 4, mean.lpips, |v| v.lpips, false),
         ("sharpness: Laplacian over that of the truth", 3, mean.laplacian_ratio, |v| v.laplacian_ratio, true),
         ("sharpness: high frequencies over those of the truth", 3, mean.high_band_ratio, |v| v.high_band_ratio, true),
         ("masked PSNR, dB", 2, in_mask(|m| m.psnr), |v| v.masked?.psnr, true),
@@ -170,6 +171,7 @@ mod tests {
             ssim: 0.5,
             ms_ssim: None,
             perceptual_proxy: proxy,
+            lpips: None,
             laplacian_ratio: None,
             high_band_ratio: None,
             masked: None,
@@ -181,11 +183,13 @@ mod tests {
             background: [0.0; 3],
             scale: 1.0,
             protocol: String::new(),
+            lpips_weights: None,
             mean: MeanScores {
                 psnr: Some(24.0),
                 ssim: Some(0.5),
                 ms_ssim: None,
                 perceptual_proxy: Some(0.2),
+                lpips: None,
                 laplacian_ratio: None,
                 high_band_ratio: None,
                 masked: None,

@@ -360,7 +360,7 @@ impl Training {
         let few = few_views(dataset, split, self.resolved.run.eval_views as usize);
         let (images, share) = (self.images(), Share::default());
         let (background, device) = (self.background(), self.trainer.device());
-        let scoring = Scoring { background, images: &images, share: &share, device };
+        let scoring = Scoring::new(background, &images, &share, device);
         let report = evaluate_with(self.trainer.model(), &few, split, &scoring)?;
         let line = json!({
             "step": self.trainer.steps_done(),

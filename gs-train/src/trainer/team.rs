@@ -195,7 +195,7 @@ impl Trainer {
         let split = if data.test.is_empty() { Split::Train } else { Split::Test };
         self.ranks.share().finish(
             |share| {
-                let scoring = Scoring { background, images, share, device: &self.device };
+                let scoring = Scoring::new(background, images, share, &self.device);
                 evaluate_with_future(&self.model, data, split, &scoring)
             },
             |e| (3, e.to_string()),

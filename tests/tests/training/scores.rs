@@ -63,7 +63,7 @@ fn motion_is_scored_along_videos_only() {
     let images = ImageCache::new(1 << 20, 1.0);
     let whole = TofOptions { trim: false, crop: false };
     let (share, device) = Default::default();
-    let scoring = Scoring { background: [0.0; 3], images: &images, share: &share, device: &device };
+    let scoring = Scoring::new([0.0; 3], &images, &share, &device);
     let score = |data: &Dataset| tof(trainer.model(), data, Split::Test, &scoring, whole);
     let film = score(&filmed(&data, 4, 0.02)).expect("a video");
     assert_eq!(film.pairs.iter().map(|p| p.name.as_str()).collect::<Vec<_>>(), ["film 1", "film 2", "film 3"]);

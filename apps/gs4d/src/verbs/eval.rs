@@ -8,16 +8,18 @@ use crate::global::{Global, to_stderr};
 use crate::opening::RunData;
 use crate::parse;
 use crate::progress::Waiting;
+use gs_core::io::{Limits, read_file};
 use gs_data::Split;
 use gs_train::evaluate::MaskedScores;
 use gs4d_eval::compare::{Metric, SetScores};
-use gs4d_eval::folders::{FolderScores, FolderTask, Quantise, TofOptions, VideoScore, score, tof_protocol};
+use gs4d_eval::folders::{FolderScores, FolderTask, Lpips, Quantise, TofOptions, VideoScore, score, tof_protocol};
 use gs4d_eval::temporal;
 use gs4d_run::folder::METRICS;
 use gs4d_run::opened::metrics_json;
 use gs4d_run::summary::color_name;
 use serde_json::json;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Difference of two backgrounds, 0..1, from which on it is told.
 const FAR_OFF: f64 = 0.04;
@@ -26,7 +28,7 @@ const FAR_OFF: f64 = 0.04;
 #[derive(clap::Args)]
 pub struct Eval {
     /// Folder of the run, or a .gs4d file: one of its checkpoints, or what gs4d export made.
-    #[arg(value_name = "RUN|FILE", required_unless_present = "pred", conflicts_with_all = ["pred", "gt", "mask", "quantise"])]
+    #[arg(value_name = "RUN|FILE", required_unless_present = "pred", conflicts_with_all = ["pred", "gt", "mask"])]
     run: Option<PathBuf>,
     /// Which views of the run's data.
     #[arg(long, value_enum, default_value_t = SplitName::Test)]
@@ -54,9 +56,13 @@ pub struct Eval {
     /// tof: keep the border.
     #[arg(long)]
     no_crop: bool,
-    /// Rounding of images to 8 bit before they are scored [default: none].
+    /// Rounding of images to 8 bit before they are scored, as papers do that score PNG files [default: none].
     #[arg(long, value_enum)]
     quantise: Option<QuantiseName>,
+    /// Adds LPIPS with the weights of this safetensors file: the state of lpips.LPIPS(net="alex") or "vgg"; docs/guide/report.md says how
+    /// it is made.
+    #[arg(long, value_name = "FILE")]
+    lpips: Option<PathBuf>,
     #[command(flatten)]
     device: DeviceFlag,
     #[command(flatten)]
@@ -163,6 +169,8 @@ impl Eval {
         let device = self.device.open(global)?;
         let mut run = self.place.open(root, global)?;
         run.device = device;
+        run.quantise = self.quantise.map_or(Quantise::None, Into::into);
+        run.lpips = self.lpips.as_deref().map(read_lpips).transpose()?.map(Arc::new);
         let dataset = run.open_data()?;
         let background = self.background.unwrap_or_else(|| run.background());
         let split = self.split.into();
@@ -174,7 +182,8 @@ impl Eval {
         });
         let motion = motion.transpose()?;
         // The file in the run folder holds the extrapolation scores as well.
-        let folder = run.folder().ok().filter(|_| self.split == SplitName::Test && self.background.is_none());
+        let kept = self.split == SplitName::Test && self.background.is_none() && run.quantise == Quantise::None;
+        let folder = run.folder().ok().filter(|_| kept);
         let scores = match folder {
             Some(_) => run.score_for_folder(&dataset)?,
             None => run.score(&dataset, split, background)?,
@@ -212,6 +221,7 @@ impl Eval {
             gt: gt.to_owned(),
             mask: self.mask.clone(),
             metrics: self.metrics.as_ref().map_or(Metric::ALL.to_vec(), named),
+            lpips: self.lpips.as_deref().map(read_lpips).transpose()?,
             tof: self.tof()?,
             quantise: self.quantise.map_or(Quantise::None, Into::into),
             background,
@@ -234,6 +244,16 @@ impl Eval {
     }
 }
 
+/// LPIPS with the weights of a file.
+pub fn read_lpips(path: &Path) -> Result<Lpips, Failure> {
+    let bytes = read_file(path, &Limits::default()).map_err(gs4d_run::RunError::from)?;
+    Lpips::read(&bytes).map_err(|e| {
+        Failure::new(Class::Data, "data.weights", e.to_string())
+            .place(path.display())
+            .remedy("make the file as docs/guide/report.md says, with Python's packages lpips and safetensors")
+    })
+}
+
 fn motion_text(score: &VideoScore, options: TofOptions) -> String {
     format!("tof {:.3} px over {} pairs ({})\n", score.mean, score.pairs.len(), tof_protocol(options))
 }
@@ -248,6 +268,7 @@ fn columns(scores: &FolderScores) -> Vec<Column> {
         ("ssim", 4, views.iter().map(|v| v.ssim).collect(), mean.ssim),
         ("ms-ssim", 4, views.iter().map(|v| v.ms_ssim).collect(), mean.ms_ssim),
         ("proxy", 4, views.iter().map(|v| v.perceptual_proxy).collect(), mean.perceptual_proxy),
+        ("lpips", 4, views.iter().map(|v| v.lpips).collect(), mean.lpips),
     ];
     if let Some(means) = mean.masked {
         let of = |name, digits, value: fn(&MaskedScores) -> Option<f64>| -> Column {

@@ -1,5 +1,6 @@
 //! `gs4d reproduce`: the tables of the papers, run here.
 
+use super::eval::read_lpips;
 use super::jobs::{Jobs, with_missing};
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
@@ -7,11 +8,13 @@ use crate::global::Global;
 use crate::output::create_folder;
 use crate::parse;
 use gs_core::io::write_file;
+use gs4d_eval::folders::Lpips;
 use gs4d_lab::aligned;
 use gs4d_lab::contest::{Length, Results};
 use gs4d_reproduce::{Conditions, DataSet, ReproduceError, Reproduction, Table, TableError, documents, page};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
 
 /// Run a table of one of the papers, published figures beside; without a table, list them
@@ -46,6 +49,9 @@ pub struct ReproduceVerb {
     /// A setting of all trials (repeatable).
     #[arg(long = "set", value_name = "KEY=VALUE")]
     sets: Vec<String>,
+    /// Adds LPIPS with the weights of this safetensors file (see gs4d eval).
+    #[arg(long, value_name = "FILE")]
+    lpips: Option<PathBuf>,
     /// Folder of generated scenes, trials and results; finished trials in it are not trained again.
     #[arg(short, long, value_name = "DIR", requires = "table")]
     out: Option<PathBuf>,
@@ -76,11 +82,17 @@ impl ReproduceVerb {
             sets: self.sets,
             root,
         };
-        reproduce(&Reproduction::new(table, conditions).map_err(failure)?, &self.jobs, global)
+        let lpips = self.lpips.as_deref().map(read_lpips).transpose()?.map(Arc::new);
+        reproduce(&Reproduction::new(table, conditions).map_err(failure)?, lpips.as_ref(), &self.jobs, global)
     }
 }
 
-fn reproduce(reproduction: &Reproduction, jobs: &Jobs, global: &Global) -> Result<Answer, Failure> {
+fn reproduce(
+    reproduction: &Reproduction,
+    lpips: Option<&Arc<Lpips>>,
+    jobs: &Jobs,
+    global: &Global,
+) -> Result<Answer, Failure> {
     let root = &reproduction.conditions.root;
     create_folder(&root.join("data"))?;
     reproduction.prepare().map_err(gs4d_run::RunError::from)?;
@@ -88,7 +100,11 @@ fn reproduce(reproduction: &Reproduction, jobs: &Jobs, global: &Global) -> Resul
     if let Some(list) = jobs.plan(&contests, global)? {
         return Ok(list);
     }
-    let results: Vec<Results> = contests.iter().map(|c| jobs.results(c, global)).collect::<Result<_, _>>()?;
+    let mut results: Vec<Results> = contests.iter().map(|c| jobs.results(c, global)).collect::<Result<_, _>>()?;
+    if let Some(lpips) = lpips {
+        let mut say = |run: &Path| global.say(format!("LPIPS of {}", run.display()));
+        Reproduction::score_lpips(&mut results, gs_methods::registry(), lpips, &mut say)?;
+    }
     let outcome = reproduction.outcome(&results);
     let missing: Vec<_> = results.into_iter().flat_map(|r| r.missing).collect();
     let json = with_missing(json!(outcome), &missing);

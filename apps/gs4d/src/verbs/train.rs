@@ -249,11 +249,13 @@ pub fn scores_text(s: &EvalReport, step: u32) -> String {
         let (percent, proxy) = (100.0 * m.part, m.perceptual_proxy);
         format!("where masks count ({percent:.1} % of the pixels)   psnr {psnr}   ssim {ssim} ({seen} where seen)   perceptual-proxy {proxy:.4}\n")
     });
+    let weights = s.lpips_weights.as_deref().unwrap_or_default();
+    let lpips = s.mean.lpips.map_or(String::new(), |v| format!("lpips {v:.4} ({weights})   "));
     let seconds = s.train_seconds.map_or(String::new(), |t| format!(" · {} of training", time_text(t)));
     format!(
         "{} · {} views · background {} · step {step} · {} splats{seconds}\n\
          psnr {} (mean of views; {} from mean error)   ssim {}   ms-ssim {}   perceptual-proxy {}\n\
-         sharpness against the ground truth   laplacian {}   high band {}\n{masked}",
+         {lpips}sharpness against the ground truth   laplacian {}   high band {}\n{masked}",
         s.split,
         s.views.len(),
         color_name(s.background),

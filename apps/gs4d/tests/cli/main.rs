@@ -19,6 +19,7 @@ mod import;
 mod kill;
 mod lab;
 mod large;
+mod lpips;
 mod moved;
 mod pipes;
 mod pose;
