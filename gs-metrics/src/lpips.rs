@@ -19,8 +19,9 @@
 
 use crate::error::{MetricError, check_finite, check_pair};
 use crate::frozen::{Chain, Layer};
+use crate::masked::check_masked;
 use crate::weights::{Weights, WeightsError};
-use gs_core::Image;
+use gs_core::{Image, cast};
 
 /// Added to the length of features.
 const EPSILON: f32 = 1e-10;
@@ -88,6 +89,34 @@ impl Lpips {
     /// # Errors
     /// Different or empty shapes, other than 3 channels, a side below 32 pixels or so, a value that is not finite.
     pub fn distance(&self, a: &Image, b: &Image) -> Result<f64, MetricError> {
+        let mean = |map: Map| map.values.iter().map(|v| f64::from(*v)).sum::<f64>() / map.values.len() as f64;
+        finite(self.maps(a, b)?.map(mean).sum())
+    }
+
+    /// DyCheck's distance where `mask`, `[H, W, 1]` in `[0, 1]`, counts: both images are black outside, the maps of the layers are resized to
+    /// the images (bilinear, pixel centres on pixel centres), and their sum is averaged with the weights of the mask.
+    ///
+    /// # Errors
+    /// As [`Self::distance`]; a mask of another size, or one without weight.
+    pub fn masked(&self, a: &Image, b: &Image, mask: &Image) -> Result<f64, MetricError> {
+        check_masked(a, b, mask)?;
+        let weight = mask.data.iter().map(|w| f64::from(*w)).sum::<f64>();
+        if weight <= 0.0 {
+            return Err(MetricError::EmptyMask);
+        }
+        let black = |image: &Image| {
+            let data = image.data.chunks_exact(3).zip(&mask.data).flat_map(|(p, w)| [p[0] * w, p[1] * w, p[2] * w]);
+            Image { data: data.collect(), ..*image }
+        };
+        let mean = |map: Map| {
+            let at = |k: usize| f64::from(mask.data[k]) * map.at(k % a.width, k / a.width, [a.width, a.height]);
+            (0..mask.data.len()).map(at).sum::<f64>() / weight
+        };
+        finite(self.maps(&black(a), &black(b))?.map(mean).sum())
+    }
+
+    /// The weighted squared differences of normalised features of each layer.
+    fn maps<'a>(&'a self, a: &Image, b: &Image) -> Result<impl Iterator<Item = Map> + 'a, MetricError> {
         check_pair(a, b)?;
         if a.channels != 3 {
             return Err(MetricError::Channels { metric: "LPIPS", got: a.channels, need: "3" });
@@ -100,21 +129,47 @@ impl Lpips {
         check_finite("a", a)?;
         check_finite("b", b)?;
         let (x, y) = (self.chain.forward(a), self.chain.forward(b));
-        let layers = x.features().zip(y.features()).zip(&self.lines);
-        let total: f64 = layers.map(|((x, y), line)| layer_distance(x, y, line)).sum();
-        if total.is_finite() { Ok(total) } else { Err(MetricError::Overflow { metric: "LPIPS" }) }
+        let of = |((x, y), line): ((&Image, &Image), &Vec<f32>)| Map::of(x, y, line);
+        Ok(x.features().zip(y.features()).zip(&self.lines).map(of).collect::<Vec<_>>().into_iter())
     }
 }
 
-/// Mean over places of the weighted squared differences of normalised features.
-fn layer_distance(x: &Image, y: &Image, line: &[f32]) -> f64 {
-    let place = |(x, y): (&[f32], &[f32])| {
-        let (a, b) = (inverse_length(x), inverse_length(y));
-        let terms = x.iter().zip(y).zip(line).map(|((x, y), w)| w * (x * a - y * b).powi(2));
-        f64::from(terms.sum::<f32>())
-    };
-    let places = x.data.chunks_exact(x.channels).zip(y.data.chunks_exact(y.channels));
-    places.map(place).sum::<f64>() / (x.width * x.height) as f64
+fn finite(value: f64) -> Result<f64, MetricError> {
+    if value.is_finite() { Ok(value) } else { Err(MetricError::Overflow { metric: "LPIPS" }) }
+}
+
+/// The distances of a layer, `[height, width]`.
+struct Map {
+    values: Vec<f32>,
+    width: usize,
+    height: usize,
+}
+
+impl Map {
+    fn of(x: &Image, y: &Image, line: &[f32]) -> Self {
+        let place = |(x, y): (&[f32], &[f32])| {
+            let (a, b) = (inverse_length(x), inverse_length(y));
+            x.iter().zip(y).zip(line).map(|((x, y), w)| w * (x * a - y * b).powi(2)).sum::<f32>()
+        };
+        let places = x.data.chunks_exact(x.channels).zip(y.data.chunks_exact(y.channels));
+        Self { values: places.map(place).collect(), width: x.width, height: x.height }
+    }
+
+    /// The value at a pixel of an image of this size.
+    fn at(&self, x: usize, y: usize, [width, height]: [usize; 2]) -> f64 {
+        let (x0, x1, u) = between(x, width, self.width);
+        let (y0, y1, v) = between(y, height, self.height);
+        let value = |x: usize, y: usize| f64::from(self.values[y * self.width + x]);
+        let row = |y: usize| value(x0, y) * (1.0 - u) + value(x1, y) * u;
+        row(y0) * (1.0 - v) + row(y1) * v
+    }
+}
+
+/// The two places of a line of `n` that pixel `at` of `of` lies between, and how far it is from the first.
+fn between(at: usize, of: usize, n: usize) -> (usize, usize, f64) {
+    let place = ((at as f64 + 0.5) * n as f64 / of as f64 - 0.5).max(0.0);
+    let first = cast::to_usize(place).min(n - 1);
+    (first, (first + 1).min(n - 1), place - first as f64)
 }
 
 fn inverse_length(v: &[f32]) -> f32 {

@@ -39,6 +39,27 @@ fn distances_are_those_of_the_package() {
     }
 }
 
+/// DyCheck's protocol, evaluated by the package in f64 with `spatial=True`.
+#[test]
+fn masked_distances_are_those_of_dycheck() {
+    let lpips = Lpips::read(&file(&alex())).unwrap();
+    let [a, b, _] = images(67, 45);
+    let mask = |counts: fn(usize, usize) -> bool| {
+        let data = (0..67 * 45).map(|k| f32::from(u8::from(counts(k % 67, k / 67)))).collect();
+        Image { width: 67, height: 45, channels: 1, data }
+    };
+    for (mask, want) in [
+        (mask(|x, y| (x + 2 * y) % 7 < 3), 0.030_180_207_771),
+        (mask(|x, y| (20..50).contains(&x) && (10..40).contains(&y)), 0.071_189_497_626),
+    ] {
+        let got = lpips.masked(&a, &b, &mask).unwrap();
+        println!("masked: {got:.9}, package {want:.9}");
+        assert!((got - want).abs() < 1e-5 * want, "{got} {want}");
+    }
+    assert!(matches!(lpips.masked(&a, &b, &mask(|_, _| false)), Err(MetricError::EmptyMask)));
+    assert!(lpips.masked(&a, &b, &Image::zeros(66, 45, 1)).is_err());
+}
+
 #[test]
 fn threads_do_not_change_a_bit() {
     let lpips = Lpips::read(&file(&alex())).unwrap();

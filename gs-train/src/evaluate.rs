@@ -63,11 +63,14 @@ pub struct MaskedScores {
     /// SSIM by the same protocol, over the box of the mask.
     #[serde(default)]
     pub box_ssim: Option<f64>,
+    /// LPIPS by DyCheck's protocol ([`Lpips::masked`]), where it was asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lpips: Option<f64>,
 }
 
 impl MaskedScores {
     /// The scores of an image against its truth, `[H, W, 3]`, where `mask`, `[H, W, 1]`, counts. None for an empty mask.
-    pub fn of(image: &Image, truth: &Image, mask: &Image) -> Result<Option<Self>, MetricError> {
+    pub fn of(image: &Image, truth: &Image, mask: &Image, lpips: Option<&Lpips>) -> Result<Option<Self>, MetricError> {
         let mse = match masked_mse(image, truth, mask) {
             Err(MetricError::EmptyMask) => return Ok(None),
             other => other?,
@@ -80,6 +83,7 @@ impl MaskedScores {
         Ok(Some(Self {
             frame_psnr: Some(psnr_from_mse(person.mse)).filter(|v| v.is_finite()),
             box_ssim: person.ssim,
+            lpips: lpips.map(|lpips| lpips.masked(image, truth, mask)).transpose()?,
             psnr: Some(psnr_from_mse(mse)).filter(|v| v.is_finite()),
             ssim: ssim.map(|s| s.whole),
             ssim_seen: ssim.map(|s| s.seen),
@@ -95,6 +99,7 @@ impl MaskedScores {
             part: of(|s| Some(s.part))?,
             frame_psnr: of(|s| s.frame_psnr),
             box_ssim: of(|s| s.box_ssim),
+            lpips: of(|s| s.lpips),
             psnr: of(|s| s.psnr),
             ssim: of(|s| s.ssim),
             ssim_seen: of(|s| s.ssim_seen),
@@ -336,9 +341,7 @@ pub fn evaluate_splats(
             Quantise::Round.apply(&mut truth);
         }
         let scored = scorer.score(&rendered, &truth).and_then(|scores| {
-            let view = ViewScores::of(view, &scores, &rendered, &truth, mask.as_deref())?;
-            let lpips = lpips.map(|lpips| lpips.distance(&rendered, &truth)).transpose()?;
-            Ok((ViewScores { lpips, ..view }, scores.mse))
+            Ok((ViewScores::of(view, &scores, [&rendered, &truth], mask.as_deref(), lpips)?, scores.mse))
         });
         let scored = scored.map(|(scores, mse)| (ViewScores { camera: corrections[k], ..scores }, mse));
         scored.map_err(|source| EvalError::Metric { view: view.name.clone(), source })
@@ -401,9 +404,9 @@ impl ViewScores {
     fn of(
         view: &View,
         scores: &Scores,
-        image: &Image,
-        truth: &Image,
+        [image, truth]: [&Image; 2],
         mask: Option<&Image>,
+        lpips: Option<&Lpips>,
     ) -> Result<Self, MetricError> {
         // Images too small for a Laplacian have no sharpness.
         let sharpness = Sharpness::of(image, truth).ok();
@@ -414,11 +417,11 @@ impl ViewScores {
             ssim: scores.ssim,
             ms_ssim: scores.ms_ssim,
             perceptual_proxy: scores.perceptual_proxy,
-            lpips: None,
+            lpips: lpips.map(|lpips| lpips.distance(image, truth)).transpose()?,
             laplacian_ratio: sharpness.and_then(|s| s.laplacian),
             high_band_ratio: sharpness.and_then(|s| s.high_band),
             camera: None,
-            masked: mask.map(|m| MaskedScores::of(image, truth, m)).transpose()?.flatten(),
+            masked: mask.map(|m| MaskedScores::of(image, truth, m, lpips)).transpose()?.flatten(),
         })
     }
 

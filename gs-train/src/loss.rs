@@ -373,7 +373,7 @@ mod tests {
         let (rendered, target) = pair();
         let region = Region { low: [3, 5], high: [30, 21] };
         let (mut grad, mut both, mut alone) = (FrameGrad::default(), FrameGrad::default(), Image::default());
-        let texture = |side| plain(0.2).with(0.3, Box::new(TextureTerm::new(side)));
+        let texture = |side| plain(0.2).with(0.3, Box::new(TextureTerm::new(side, None)));
         let without = plain(0.2).evaluate_within(&rendered, &target, Some(region), &mut grad).unwrap();
         let with = texture(16).evaluate_within(&rendered, &target, Some(region), &mut both).unwrap();
         let [mut a, mut b] = [Image::default(), Image::default()];

@@ -145,7 +145,7 @@ impl Comparer {
             }
         }
         scores.lpips = self.lpips.as_ref().map(|lpips| lpips.distance(image, truth)).transpose()?;
-        scores.masked = mask.map(|m| MaskedScores::of(image, truth, m)).transpose()?.flatten();
+        scores.masked = mask.map(|m| MaskedScores::of(image, truth, m, self.lpips.as_ref())).transpose()?.flatten();
         scores.psnr = scores.mse.map(psnr_from_mse).filter(|p| p.is_finite());
         self.views.push(scores);
         Ok(())

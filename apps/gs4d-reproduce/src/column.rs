@@ -18,13 +18,14 @@ fn masked(r: &EvalReport) -> Option<MaskedScores> {
 }
 
 /// The columns of tables that are run. `lpips` is there where the user has weights ([`Reproduction::score_lpips`](crate::Reproduction::score_lpips)); `tof` is not measured.
-const COLUMNS: [Column; 11] = [
+const COLUMNS: [Column; 12] = [
     Column { name: "psnr", digits: 2, of: |r| r.mean.psnr },
     Column { name: "ssim", digits: 4, of: |r| r.mean.ssim },
     Column { name: "ms_ssim", digits: 4, of: |r| r.mean.ms_ssim },
     Column { name: "lpips", digits: 3, of: |r| r.mean.lpips },
     Column { name: "masked_psnr", digits: 2, of: |r| masked(r)?.psnr },
     Column { name: "masked_ssim", digits: 4, of: |r| masked(r)?.ssim },
+    Column { name: "masked_lpips", digits: 3, of: |r| masked(r)?.lpips },
     Column { name: "future_psnr", digits: 2, of: EvalReport::extrapolated_psnr },
     Column { name: "future_ssim", digits: 4, of: |r| r.extrapolate.as_ref()?.mean.ssim },
     Column { name: "future_lpips", digits: 3, of: |r| r.extrapolate.as_ref()?.mean.lpips },

@@ -308,7 +308,7 @@ fn not_run(reproduction: &Reproduction, results: &[Results]) -> Vec<NotRun> {
     };
     let columns = table.columns.iter().filter(|c| !measured(c)).filter_map(|column| {
         let why = match column.as_str() {
-            "lpips" | "future_lpips" => {
+            "lpips" | "masked_lpips" | "future_lpips" => {
                 "needs weights that gs4d does not have (--lpips FILE); the perceptual proxy stands beside"
             }
             "tof" => "measured by gs4d eval --pred --gt --metrics tof on rendered frames",

@@ -3,10 +3,12 @@
 use super::Region;
 use crate::error::ScheduleError;
 use gs_core::Image;
+use gs_core::io::{Limits, read_file};
 use gs_metrics::mrf::{FeatureNet, Mrf, MrfOptions};
 use gs_metrics::spectrum::AmplitudeOptions;
 use gs_metrics::{AmplitudeLoss, MetricError, MsSsim, MsSsimOptions, Ssim, SsimOptions};
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 
 /// A term of the image loss, with the buffers it keeps between calls.
 pub trait LossTerm: Send + Sync {
@@ -162,18 +164,32 @@ impl LossTerm for SpectrumTerm {
     }
 }
 
-/// Distance of textures over the region, by a Markov random field over the features of a fixed filter bank (DUT).
+/// Distance of textures over the region, by a Markov random field over the features of a fixed filter bank, or of VGG-19 (DUT).
 pub struct TextureTerm {
     side: usize,
-    /// Built at the first view, so that an impossible size is an error of that view.
+    /// File with the weights of VGG-19; none: the fixed bank.
+    weights: Option<PathBuf>,
+    /// Built at the first view, so that a run whose weights are gone can still be rendered, and, so that an impossible size is an error of that view.
     mrf: Option<Mrf>,
     cropped: Cropped,
 }
 
 impl TextureTerm {
-    /// The region is resized to a square of this side, pixels.
-    pub fn new(side: u32) -> Self {
-        Self { side: side as usize, mrf: None, cropped: Cropped::default() }
+    /// The region is resized to a square of this side, pixels. `weights` is a file for [`FeatureNet::vgg19`]; without one the features are those
+    /// of [`FeatureNet::fixed_bank`].
+    pub fn new(side: u32, weights: Option<PathBuf>) -> Self {
+        Self { side: side as usize, weights, mrf: None, cropped: Cropped::default() }
+    }
+
+    fn features(&self) -> Result<FeatureNet, MetricError> {
+        let Some(file) = &self.weights else { return Ok(FeatureNet::fixed_bank()) };
+        let wrong = |why: String| MetricError::Option {
+            name: "schedule.mrf_weights",
+            value: format!("{} ({why})", file.display()),
+            must: "a safetensors file with the parameters of torchvision's vgg19",
+        };
+        let bytes = read_file(file, &Limits::default()).map_err(|e| wrong(e.to_string()))?;
+        FeatureNet::vgg19(&bytes).map_err(|e| wrong(e.to_string()))
     }
 }
 
@@ -187,13 +203,11 @@ impl LossTerm for TextureTerm {
     }
 
     fn evaluate(&mut self, x: &Image, y: &Image, region: Region, grad: &mut Image) -> Result<TermValue, MetricError> {
-        let mrf = match &mut self.mrf {
-            Some(mrf) => mrf,
-            none => {
-                let options = MrfOptions { side: self.side, ..MrfOptions::default() };
-                none.insert(Mrf::new(FeatureNet::fixed_bank(), options)?)
-            }
-        };
+        if self.mrf.is_none() {
+            let options = MrfOptions { side: self.side, ..MrfOptions::default() };
+            self.mrf = Some(Mrf::new(self.features()?, options)?);
+        }
+        let Some(mrf) = &self.mrf else { return Ok(TermValue::distance(0.0)) };
         let value = |x: &Image, y: &Image, grad: &mut Image| mrf.value_and_grad(x, y, grad).map(|terms| terms.total);
         self.cropped.within(region, x, y, grad, value).map(TermValue::distance)
     }

@@ -277,6 +277,7 @@ fn columns(scores: &FolderScores) -> Vec<Column> {
         all.push(of("m-psnr", 3, |m| m.psnr));
         all.push(of("m-ssim", 4, |m| m.ssim));
         all.push(of("m-proxy", 4, |m| Some(m.perceptual_proxy)));
+        all.push(of("m-lpips", 4, |m| m.lpips));
         all.push(of("f-psnr", 3, |m| m.frame_psnr));
         all.push(of("box-ssim", 4, |m| m.box_ssim));
     }

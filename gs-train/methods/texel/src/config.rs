@@ -240,7 +240,7 @@ pub struct Config {
 }
 
 /// The likeness of textures over the box of what images show.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TextureLoss {
     /// Weight μ (the paper's code: 0.01, with VGG-19).
@@ -249,6 +249,10 @@ pub struct TextureLoss {
     /// Side that box is resized to, pixels; time grows with its fourth power.
     #[serde(default = "mrf_side")]
     pub mrf_side: u32,
+    /// A safetensors file with the weights of VGG-19, whose features are compared then; empty: a fixed filter
+    /// bank without learnt weights.
+    #[serde(default)]
+    pub mrf_weights: String,
 }
 
 fn mrf_side() -> u32 {
@@ -269,7 +273,9 @@ impl TryFrom<toml::Table> for Plan {
     type Error = toml::de::Error;
 
     fn try_from(mut section: toml::Table) -> Result<Self, Self::Error> {
-        let own = ["lambda_mrf", "mrf_side"].into_iter().filter_map(|key| Some((key.to_owned(), section.remove(key)?)));
+        let own = ["lambda_mrf", "mrf_side", "mrf_weights"]
+            .into_iter()
+            .filter_map(|key| Some((key.to_owned(), section.remove(key)?)));
         let own: toml::Table = own.collect();
         Ok(Self { texture: own.try_into()?, trainer: section.try_into()? })
     }

@@ -114,7 +114,8 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let config: Config = parse_config(ENTRY.name, table)?;
     let Plan { trainer, texture } = config.schedule.clone();
     let model = Model::new(ENTRY.name, Dut::new(config, scene)?, trainer)?;
-    Ok(model.with_loss(texture.lambda_mrf, TextureTerm::new(texture.mrf_side)))
+    let weights = (!texture.mrf_weights.is_empty()).then(|| texture.mrf_weights.into());
+    Ok(model.with_loss(texture.lambda_mrf, TextureTerm::new(texture.mrf_side, weights)))
 }
 
 impl Dut {

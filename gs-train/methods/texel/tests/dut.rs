@@ -333,6 +333,29 @@ fn settings_that_do_not_fit_are_refused() {
     }
 }
 
+/// Weights of the user stand in for the fixed filters; a run whose weights are gone can be rendered, and not trained.
+#[test]
+fn textures_are_compared_by_the_weights_that_are_named() {
+    let (dir, data) = (tempfile::tempdir().expect("folder"), film("cylinder", 32, 2));
+    let file = dir.path().join("vgg19.safetensors");
+    std::fs::write(&file, gs_metrics::testkit::file(&gs_metrics::testkit::vgg19())).expect("file");
+    let named = |file: &std::path::Path| {
+        let weights = format!("mrf_weights = \"{}\"", file.display());
+        format!(
+            "schedule.lambda_mrf = 0.01\nschedule.mrf_side = 32\nschedule.{weights}\nschedule.stages.geometry.steps = 0\nschedule.stages.warm_up.steps = 0\ninput = \"single\""
+        )
+    };
+    let term = |over: &str| -> Result<Option<f64>, TrainError> {
+        let mut trainer = start(&data, &config(&[SHORT, over]));
+        trainer.step().map(|report| report.loss.term("mrf"))
+    };
+    let own = term(&named(&file)).expect("step").expect("term");
+    let bank = term(&named(&file).replace(file.to_str().expect("path"), "")).expect("step").expect("term");
+    assert!(own.is_finite() && (own - bank).abs() > 1e-6, "{own} {bank}");
+    let error = term(&named(&dir.path().join("gone"))).expect_err("no file").to_string();
+    assert!(error.contains("schedule.mrf_weights") && error.contains("gone"), "{error}");
+}
+
 #[test]
 fn a_frame_that_cannot_be_made_stops_training_with_its_number() {
     let mut data = film("cylinder", 32, 2);
