@@ -28,7 +28,7 @@ mod sets;
 mod table;
 
 pub use column::Column;
-pub use outcome::{EntryOutcome, NotRun, Order, Outcome, SceneOutcome, Value, Verdict};
+pub use outcome::{EntryOutcome, NotRun, Order, Outcome, PublishedMean, SceneOutcome, Value, Verdict};
 pub use reproduction::{Chosen, Conditions, ReproduceError, Reproduction};
 pub use sets::{DataSet, Generated};
 pub use table::{Scene, Table, TableEntry, TableError};

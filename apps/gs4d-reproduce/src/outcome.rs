@@ -2,7 +2,7 @@
 
 use crate::column::Column;
 use crate::reproduction::{Chosen, Reproduction};
-use crate::table::TableEntry;
+use crate::table::{Table, TableEntry};
 use gs_train::evaluate::EvalReport;
 use gs4d_eval::spread::Spread;
 use gs4d_lab::contest::{Length, Results, Standing, Trial};
@@ -92,6 +92,15 @@ pub struct NotRun {
     pub why: String,
 }
 
+/// Published means of an entry over the paper's scenes.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PublishedMean {
+    /// Name in the paper.
+    pub entry: String,
+    /// By column of the table.
+    pub values: Vec<Option<f64>>,
+}
+
 /// A table with our figures.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Outcome {
@@ -109,6 +118,8 @@ pub struct Outcome {
     pub conditions: String,
     /// Names of the columns.
     pub columns: Vec<String>,
+    /// The published means of all entries, those that were not run included.
+    pub published: Vec<PublishedMean>,
     /// One per scene, then the mean over scenes if there are several.
     pub scenes: Vec<SceneOutcome>,
     /// The first entry against each other one.
@@ -133,11 +144,17 @@ impl Outcome {
             remark: table.remark.clone(),
             conditions: conditions(reproduction),
             columns: table.columns.clone(),
+            published: table.entries.iter().filter_map(|e| published_row(table, e)).collect(),
             scenes: outcomes,
             orders: orders(reproduction, results),
             not_run: not_run(reproduction, results),
         }
     }
+}
+
+fn published_row(table: &Table, entry: &TableEntry) -> Option<PublishedMean> {
+    let values: Vec<_> = (0..table.columns.len()).map(|c| table.published_average(&entry.name, c)).collect();
+    values.iter().any(Option::is_some).then(|| PublishedMean { entry: entry.name.clone(), values })
 }
 
 /// The conditions of our figures, in words.

@@ -39,7 +39,9 @@ fn rows(outcome: &Outcome) -> (Vec<String>, Vec<Vec<String>>) {
         [ours.then(|| name.clone()), published.then(|| format!("{name} published"))].into_iter().flatten()
     });
     let head = ["scene", "entry"].map(str::to_owned).into_iter().chain(head);
-    let head = head.chain(["less published", "proxy", "MB", "seconds", "seeds"].map(str::to_owned)).collect();
+    let differ = entries().any(|e| e.values.first().and_then(Value::difference).is_some());
+    let rest = ["less published", "proxy", "MB", "seconds", "seeds"].into_iter().skip(usize::from(!differ));
+    let head = head.chain(rest.map(str::to_owned)).collect();
     let row = |scene: &SceneOutcome, e: &EntryOutcome| {
         let cells = shown.iter().flat_map(|&(c, ours, published)| {
             let [a, b] = e.values.get(c).map_or_else(Default::default, |v| cell(v, digits(&outcome.columns[c])));
@@ -54,6 +56,7 @@ fn rows(outcome: &Outcome) -> (Vec<String>, Vec<Vec<String>>) {
             number(e.seconds, 0),
             e.seeds.len().to_string(),
         ];
+        let rest = rest.into_iter().skip(usize::from(!differ));
         [scene.scene.clone(), e.entry.clone()].into_iter().chain(cells).chain(rest).collect()
     };
     let rows = outcome.scenes.iter().flat_map(|s| s.entries.iter().map(move |e| row(s, e))).collect();
@@ -110,8 +113,15 @@ pub fn html(outcome: &Outcome) -> String {
     let order: String = sentences(outcome).iter().map(|s| format!("<li>{}</li>\n", escape(s))).collect();
     let order = if order.is_empty() { order } else { format!("<ul>\n{order}</ul>\n") };
     let not_run = outcome.not_run.iter().map(|n| vec![n.what.clone(), n.why.clone()]);
+    let names: Vec<&str> = ["entry"].into_iter().chain(outcome.columns.iter().map(String::as_str)).collect();
+    let published = outcome.published.iter().map(|p| {
+        let values = p.values.iter().zip(&outcome.columns).map(|(v, c)| number(*v, digits(c)));
+        std::iter::once(p.entry.clone()).chain(values).collect()
+    });
+    let published = html::table(&names, &(1..names.len()).collect::<Vec<_>>(), published);
     let parts = section("Figures", &remark, &html::table(&head, &numeric, rows.into_iter()))
         + &section("The order of methods", "Paired: the same scene and seed.", &order)
+        + &section("Published means, over the paper's scenes", "", &published)
         + &section("Without a result", "", &html::table(&["what", "why"], &[], not_run));
     html::document(&outcome.title, &outcome.source, &parts)
 }

@@ -20,6 +20,8 @@ pub struct Conditions {
     pub data: Vec<PathBuf>,
     /// Names of scenes, those of the paper or generated ones; empty: those of the paper that are there, and the generated ones if none is.
     pub scenes: Vec<String>,
+    /// Names of the entries that are run; empty: all that gs4d has. The others are compared with the first.
+    pub entries: Vec<String>,
     /// Everything runs once with each.
     pub seeds: Vec<u64>,
     /// Preset of every entry; `None`: that of its published recipe.
@@ -85,6 +87,14 @@ pub enum ReproduceError {
         /// The names there are.
         known: String,
     },
+    /// An entry was asked for that the table does not have, or gs4d does not.
+    #[error("the table has no entry `{name}` that gs4d can run; it has {known}")]
+    UnknownEntry {
+        /// The name asked for.
+        name: String,
+        /// The names there are.
+        known: String,
+    },
     /// A scene was asked for that is not there.
     #[error("the scene {name} is in none of the folders of --data; it comes from {from} and is {layout}")]
     AbsentScene {
@@ -104,8 +114,9 @@ impl Reproduction {
     /// Chooses the scenes; nothing is written.
     ///
     /// # Errors
-    /// A table without data; a scene that is unknown or absent.
-    pub fn new(table: Table, conditions: Conditions) -> Result<Self, ReproduceError> {
+    /// A table without data; a scene or an entry that is unknown or absent.
+    pub fn new(mut table: Table, conditions: Conditions) -> Result<Self, ReproduceError> {
+        keep_entries(&mut table, &conditions.entries)?;
         let Some(data) = &table.data else {
             return Err(ReproduceError::Command(table.command.unwrap_or_default()));
         };
@@ -216,6 +227,19 @@ impl Reproduction {
     }
 }
 
+/// Keeps the named entries, all if none is named.
+fn keep_entries(table: &mut Table, names: &[String]) -> Result<(), ReproduceError> {
+    let known = || table.runnable().map(|e| e.name.as_str());
+    if let Some(name) = names.iter().find(|n| !known().any(|k| k == *n)) {
+        let known = known().collect::<Vec<_>>().join(", ");
+        return Err(ReproduceError::UnknownEntry { name: name.clone(), known });
+    }
+    if !names.is_empty() {
+        table.entries.retain(|e| names.contains(&e.name));
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -224,6 +248,7 @@ mod tests {
         Conditions {
             data: vec![root.join("captures")],
             scenes: Vec::new(),
+            entries: Vec::new(),
             seeds: vec![0, 1],
             preset: Some("tiny".into()),
             length: Length::Steps(3),
@@ -261,6 +286,13 @@ mod tests {
         assert_eq!(of("waves-b").unwrap().scenes[0].name(), "waves-b");
         let absent = of("trex").unwrap_err().to_string();
         assert!(absent.contains("github.com/albertpumarola/D-NeRF"), "{absent}");
+        let entries = |name: &str| {
+            let entries = vec![name.to_owned()];
+            Reproduction::new(Table::find("fags", "dnerf").unwrap(), Conditions { entries, ..conditions(root.path()) })
+        };
+        assert_eq!(entries("Grid4D").unwrap().table.entries.len(), 1);
+        let other = entries("SC-GS").unwrap_err().to_string();
+        assert!(other.contains("`SC-GS`") && other.contains("Grid4D + DRK"), "{other}");
         let unknown = of("tyrannosaur").unwrap_err().to_string();
         assert!(unknown.contains("trex") && unknown.contains("sheet-a"), "{unknown}");
     }

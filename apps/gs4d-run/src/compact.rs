@@ -197,13 +197,25 @@ impl CompactScene {
     }
 }
 
-/// The settings as TOML text, without the place of the data.
+/// The settings as TOML text, without the place of the data and of other files that they name.
 fn without_path(settings: &toml::Table) -> Result<String, CheckpointError> {
     let mut settings = settings.clone();
     if let Some(run) = settings.get_mut("run").and_then(toml::Value::as_table_mut) {
         run.insert("data".into(), "".into());
     }
+    leave_out_absolute(&mut settings);
     toml::to_string(&settings).map_err(|e| CheckpointError::State(e.to_string()))
+}
+
+/// Empties every setting that is an absolute path.
+fn leave_out_absolute(settings: &mut toml::Table) {
+    for (_, value) in settings.iter_mut() {
+        match value {
+            toml::Value::Table(inner) => leave_out_absolute(inner),
+            toml::Value::String(text) if Path::new(text).is_absolute() => text.clear(),
+            _ => {}
+        }
+    }
 }
 
 impl CompactTensor {

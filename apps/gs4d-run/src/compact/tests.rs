@@ -174,3 +174,12 @@ fn a_scene_with_other_sizes_does_not_load() {
     let wild = |t: &mut CompactTensor| t.name == "cloud.means" && std::mem::replace(&mut t.values[5], f32::NAN) != 0.0;
     assert!(refuse(wild).contains("not finite at 5"));
 }
+
+#[test]
+fn no_file_of_this_machine_is_named() {
+    let text = "ablate = \"gad\"\n[run]\ndata = \"scenes/reach\"\n[schedule]\nmrf_weights = \"/home/me/vgg19.safetensors\"\nbackground = \"white\"\n";
+    let kept: toml::Table = without_path(&text.parse().unwrap()).unwrap().parse().unwrap();
+    assert_eq!(kept["run"]["data"].as_str(), Some(""));
+    assert_eq!(kept["schedule"]["mrf_weights"].as_str(), Some(""));
+    assert_eq!((kept["ablate"].as_str(), kept["schedule"]["background"].as_str()), (Some("gad"), Some("white")));
+}

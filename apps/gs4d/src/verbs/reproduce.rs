@@ -31,6 +31,9 @@ pub struct ReproduceVerb {
     /// Scenes, of the paper or generated [default: those that are there].
     #[arg(long, value_delimiter = ',', value_name = "NAME")]
     scenes: Vec<String>,
+    /// Entries, by their names in the table; the others are compared with the first [default: all].
+    #[arg(long, value_delimiter = ',', value_name = "NAME")]
+    entries: Vec<String>,
     /// Seeds; everything runs once with each.
     #[arg(long, value_delimiter = ',', default_value = "0,1,2")]
     seeds: Vec<u64>,
@@ -75,6 +78,7 @@ impl ReproduceVerb {
         let conditions = Conditions {
             data: self.data,
             scenes: self.scenes,
+            entries: self.entries,
             seeds: self.seeds,
             preset: (self.preset != "published").then_some(self.preset),
             length: Length::of(self.time_budget, self.steps),
@@ -191,6 +195,7 @@ fn failure(e: ReproduceError) -> Failure {
         ReproduceError::Table(e) => unknown(e),
         ReproduceError::Command(command) => Failure::usage(text).remedy(command),
         ReproduceError::UnknownScene { .. } => Failure::usage(text).remedy("choose one of these with --scenes"),
+        ReproduceError::UnknownEntry { .. } => Failure::usage(text).remedy("choose one of these with --entries"),
         ReproduceError::AbsentScene { .. } => {
             Failure::new(Class::Data, "data.absent", text).remedy("pass its folder, or the one above, with --data")
         }
