@@ -62,7 +62,12 @@ impl Tape {
 impl Chain {
     /// Features of an `[H, W, 3]` image whose sides are at least [`Self::min_side`].
     pub(crate) fn forward(&self, image: &Image) -> Tape {
-        let normal = |(k, v): (usize, &f32)| (v - self.mean[k % 3]) / self.deviation[k % 3];
+        self.forward_normalised(image, self.mean, self.deviation)
+    }
+
+    /// The same with another normalisation of colours.
+    pub(crate) fn forward_normalised(&self, image: &Image, mean: [f32; 3], deviation: [f32; 3]) -> Tape {
+        let normal = |(k, v): (usize, &f32)| (v - mean[k % 3]) / deviation[k % 3];
         let data = image.data.iter().enumerate().map(normal).collect();
         let mut maps = vec![Image { data, width: image.width, height: image.height, channels: image.channels }];
         for layer in &self.layers {

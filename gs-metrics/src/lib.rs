@@ -71,7 +71,7 @@ mod window;
 
 pub use error::MetricError;
 pub use flow::Flow;
-pub use lpips::{Lpips, LpipsNet};
+pub use lpips::{Lpips, LpipsNet, LpipsRange};
 pub use masked::{MaskedSsim, masked_mse, masked_psnr, masked_ssim};
 pub use ms_ssim::{MsSsim, MsSsimOptions, ms_ssim};
 pub use perceptual::{masked_perceptual_proxy, perceptual_proxy};

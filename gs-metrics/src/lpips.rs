@@ -1,6 +1,6 @@
 //! LPIPS: the distance of two images in the features of a network, weighted by how people judged patches (Zhang et al. 2018).
 //!
-//! Colours in `[0, 1]` are shifted and scaled as published, put through the convolutions of AlexNet or VGG-16, and after each of five
+//! Colours in `[0, 1]` are mapped to `[−1, 1]`, shifted and scaled as published, put through the convolutions of AlexNet or VGG-16, and after each of five
 //! of them the features of a place are divided by their length. With `w` the learnt weight of a channel, at least 0:
 //! ```text
 //! LPIPS = Σ_layer mean over places Σ_channel w (x − y)²
@@ -8,12 +8,15 @@
 //! gs4d has no weights. They come from a file that the user makes once, with the packages `lpips` and `safetensors` of Python:
 //! ```text
 //! import lpips, safetensors.torch
-//! state = lpips.LPIPS(net="alex").state_dict()      # or "vgg"
+//! state = lpips.LPIPS(net="vgg").state_dict()       # or "alex"
 //! state = {k: v.contiguous() for k, v in state.items() if not k.startswith("lins.")}
-//! safetensors.torch.save_file(state, "lpips-alex.safetensors")
+//! safetensors.torch.save_file(state, "lpips-vgg.safetensors")
 //! ```
-//! [`Lpips::weights`] names the network and the checksum of the file, which belong beside every value. Papers print AlexNet (FAGS, MoDec-GS)
-//! or VGG (TRACE, DUT).
+//! [`Lpips::weights`] names the network and the checksum of the file, which belong beside every value. The codes behind FAGS, MoDec-GS,
+//! TRACE and DUT use VGG; DyCheck's masked distance is AlexNet's.
+//!
+//! **Range.** Evaluations that descend from that of 3DGS (FAGS, MoDec-GS, TRACE) leave out the map to `[−1, 1]`: their printed figures are those of
+//! [`LpipsRange::Unit`]. Masked distances are DyCheck's in either case.
 //!
 //! **Numbers.** `f32`; distances agree with the package to 1e-5 of their value, for 0.1 and smaller ones to 1e-6. Bitwise the same for any number of threads.
 
@@ -26,9 +29,9 @@ use gs_core::{Image, cast};
 /// Added to the length of features.
 const EPSILON: f32 = 1e-10;
 /// The published shift and scale of colours in `[−1, 1]`, for colours in `[0, 1]`.
-const MEAN: [f32; 3] = [0.485, 0.456, 0.406];
-/// See [`MEAN`].
-const DEVIATION: [f32; 3] = [0.229, 0.224, 0.225];
+const SIGNED: [[f32; 3]; 2] = [[0.485, 0.456, 0.406], [0.229, 0.224, 0.225]];
+/// The published shift and scale as they are.
+const UNIT: [[f32; 3]; 2] = [[-0.030, -0.088, -0.188], [0.458, 0.448, 0.450]];
 /// Channels of the convolutions of VGG-16; 0: a maximum over 2 × 2.
 const VGG16: [usize; 17] = [64, 64, 0, 128, 128, 0, 256, 256, 256, 0, 512, 512, 512, 0, 512, 512, 512];
 
@@ -41,6 +44,16 @@ pub enum LpipsNet {
     Vgg,
 }
 
+/// What becomes of colours before the network's shift and scale.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LpipsRange {
+    /// They are mapped from `[0, 1]` to `[−1, 1]`, for which shift and scale were made.
+    #[default]
+    Signed,
+    /// They stay in `[0, 1]`, as in the evaluation of 3DGS and what descends from it.
+    Unit,
+}
+
 /// LPIPS with the weights of a file.
 #[derive(Clone, Debug)]
 pub struct Lpips {
@@ -49,6 +62,7 @@ pub struct Lpips {
     /// Weights of the channels of each layer of features.
     lines: Vec<Vec<f32>>,
     checksum: u32,
+    range: LpipsRange,
 }
 
 impl Lpips {
@@ -66,8 +80,14 @@ impl Lpips {
         };
         let line = |(k, channels): (usize, usize)| weights.values(&line_name(&weights, k), &[1, channels, 1, 1]);
         let lines = channels.into_iter().enumerate().map(line).collect::<Result<_, _>>()?;
-        let chain = Chain { mean: MEAN, deviation: DEVIATION, layers, taps };
-        Ok(Self { net, chain, lines, checksum: crc32fast::hash(file) })
+        let [mean, deviation] = SIGNED;
+        let chain = Chain { mean, deviation, layers, taps };
+        Ok(Self { net, chain, lines, checksum: crc32fast::hash(file), range: LpipsRange::Signed })
+    }
+
+    /// The same with another range of colours, for [`Self::distance`].
+    pub fn with_range(self, range: LpipsRange) -> Self {
+        Self { range, ..self }
     }
 
     /// The network.
@@ -75,13 +95,17 @@ impl Lpips {
         self.net
     }
 
-    /// The network and the CRC-32 of the file, for example `alex 1a2b3c4d`.
+    /// The network and the CRC-32 of the file, for example `alex 1a2b3c4d`, and the range if it is [`LpipsRange::Unit`].
     pub fn weights(&self) -> String {
         let name = match self.net {
             LpipsNet::Alex => "alex",
             LpipsNet::Vgg => "vgg",
         };
-        format!("{name} {:08x}", self.checksum)
+        let range = match self.range {
+            LpipsRange::Signed => "",
+            LpipsRange::Unit => ", colours in [0, 1]",
+        };
+        format!("{name} {:08x}{range}", self.checksum)
     }
 
     /// The distance of two `[H, W, 3]` images with values in `[0, 1]`; 0 for equal ones.
@@ -90,7 +114,7 @@ impl Lpips {
     /// Different or empty shapes, other than 3 channels, a side below 32 pixels or so, a value that is not finite.
     pub fn distance(&self, a: &Image, b: &Image) -> Result<f64, MetricError> {
         let mean = |map: Map| map.values.iter().map(|v| f64::from(*v)).sum::<f64>() / map.values.len() as f64;
-        finite(self.maps(a, b)?.map(mean).sum())
+        finite(self.maps(a, b, self.range)?.map(mean).sum())
     }
 
     /// DyCheck's distance where `mask`, `[H, W, 1]` in `[0, 1]`, counts: both images are black outside, the maps of the layers are resized to
@@ -112,11 +136,11 @@ impl Lpips {
             let at = |k: usize| f64::from(mask.data[k]) * map.at(k % a.width, k / a.width, [a.width, a.height]);
             (0..mask.data.len()).map(at).sum::<f64>() / weight
         };
-        finite(self.maps(&black(a), &black(b))?.map(mean).sum())
+        finite(self.maps(&black(a), &black(b), LpipsRange::Signed)?.map(mean).sum())
     }
 
     /// The weighted squared differences of normalised features of each layer.
-    fn maps<'a>(&'a self, a: &Image, b: &Image) -> Result<impl Iterator<Item = Map> + 'a, MetricError> {
+    fn maps(&self, a: &Image, b: &Image, range: LpipsRange) -> Result<impl Iterator<Item = Map>, MetricError> {
         check_pair(a, b)?;
         if a.channels != 3 {
             return Err(MetricError::Channels { metric: "LPIPS", got: a.channels, need: "3" });
@@ -128,7 +152,11 @@ impl Lpips {
         }
         check_finite("a", a)?;
         check_finite("b", b)?;
-        let (x, y) = (self.chain.forward(a), self.chain.forward(b));
+        let [mean, deviation] = match range {
+            LpipsRange::Signed => SIGNED,
+            LpipsRange::Unit => UNIT,
+        };
+        let [x, y] = [a, b].map(|image| self.chain.forward_normalised(image, mean, deviation));
         let of = |((x, y), line): ((&Image, &Image), &Vec<f32>)| Map::of(x, y, line);
         Ok(x.features().zip(y.features()).zip(&self.lines).map(of).collect::<Vec<_>>().into_iter())
     }

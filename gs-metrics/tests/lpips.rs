@@ -3,7 +3,7 @@
 use gs_core::Image;
 use gs_metrics::mrf::{FeatureNet, Mrf, MrfOptions};
 use gs_metrics::testkit::{alex, file, unit, vgg16, vgg19};
-use gs_metrics::{Lpips, LpipsNet, MetricError, WeightsError};
+use gs_metrics::{Lpips, LpipsNet, LpipsRange, MetricError, WeightsError};
 
 fn image(width: usize, height: usize, salt: u64) -> Image {
     Image { width, height, channels: 3, data: unit(width * height * 3, salt).map(|u| u as f32).collect() }
@@ -36,6 +36,18 @@ fn distances_are_those_of_the_package() {
         }
         assert_eq!(lpips.distance(&a, &a).unwrap(), 0.0);
         assert_eq!(lpips.distance(&a, &b).unwrap(), lpips.distance(&b, &a).unwrap());
+    }
+}
+
+/// Evaluations after 3DGS hand colours in [0, 1] to the package.
+#[test]
+fn distances_of_the_unit_range_are_those_of_the_package_without_its_map() {
+    for (shapes, want) in [(alex(), 0.026_254_607_075), (vgg16(), 0.016_010_906_259)] {
+        let lpips = Lpips::read(&file(&shapes)).unwrap().with_range(LpipsRange::Unit);
+        let [a, b, _] = images(67, 45);
+        let got = lpips.distance(&a, &b).unwrap();
+        assert!((got - want).abs() < 1e-5 * want, "{got} {want}");
+        assert!(lpips.weights().ends_with("colours in [0, 1]"));
     }
 }
 

@@ -8,7 +8,7 @@ mod images;
 
 use crate::compare::{Comparer, Metric, SetScores};
 use gs_core::io::IoError;
-pub use gs_metrics::{Lpips, Quantise, TofOptions};
+pub use gs_metrics::{Lpips, LpipsRange, Quantise, TofOptions};
 use gs_metrics::{MetricError, Tof, TofScore};
 use images::{ImageFolder, Loaded, load_mask, load_over};
 use serde::Serialize;

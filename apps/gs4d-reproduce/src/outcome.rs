@@ -142,7 +142,7 @@ impl Outcome {
             source: table.source.clone(),
             protocol: table.protocol.clone(),
             remark: table.remark.clone(),
-            conditions: conditions(reproduction),
+            conditions: conditions(reproduction) + &lpips(results),
             columns: table.columns.clone(),
             published: table.entries.iter().filter_map(|e| published_row(table, e)).collect(),
             scenes: outcomes,
@@ -170,6 +170,13 @@ fn conditions(reproduction: &Reproduction) -> String {
     let sets = c.sets.iter().map(|s| format!(", {s}")).collect::<String>();
     let seeds = c.seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
     format!("{preset}{length}{scale}{sets}; seeds {seeds}")
+}
+
+/// Network, weights and range of LPIPS, where it was scored.
+fn lpips(results: &[Results]) -> String {
+    let trials = results.iter().flat_map(|r| &r.standings).flat_map(|s| &s.trials);
+    let weights = trials.filter_map(|t| t.scores.lpips_weights.as_deref()).next();
+    weights.map_or(String::new(), |w| format!("; LPIPS: {w}"))
 }
 
 fn columns(reproduction: &Reproduction) -> Vec<Column> {

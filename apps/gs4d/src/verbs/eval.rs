@@ -12,7 +12,9 @@ use gs_core::io::{Limits, read_file};
 use gs_data::Split;
 use gs_train::evaluate::MaskedScores;
 use gs4d_eval::compare::{Metric, SetScores};
-use gs4d_eval::folders::{FolderScores, FolderTask, Lpips, Quantise, TofOptions, VideoScore, score, tof_protocol};
+use gs4d_eval::folders::{
+    FolderScores, FolderTask, Lpips, LpipsRange, Quantise, TofOptions, VideoScore, score, tof_protocol,
+};
 use gs4d_eval::temporal;
 use gs4d_run::folder::METRICS;
 use gs4d_run::opened::metrics_json;
@@ -63,6 +65,10 @@ pub struct Eval {
     /// it is made.
     #[arg(long, value_name = "FILE")]
     lpips: Option<PathBuf>,
+    /// What LPIPS makes of colours: signed maps them to -1..1, as the network was trained; unit leaves them in 0..1, as the evaluation of 3DGS and most
+    /// papers after it do.
+    #[arg(long, value_enum, default_value_t = RangeName::Signed, requires = "lpips")]
+    lpips_range: RangeName,
     #[command(flatten)]
     device: DeviceFlag,
     #[command(flatten)]
@@ -127,6 +133,22 @@ enum QuantiseName {
     Truncate,
 }
 
+/// What LPIPS makes of colours.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum RangeName {
+    Signed,
+    Unit,
+}
+
+impl From<RangeName> for LpipsRange {
+    fn from(name: RangeName) -> Self {
+        match name {
+            RangeName::Signed => LpipsRange::Signed,
+            RangeName::Unit => LpipsRange::Unit,
+        }
+    }
+}
+
 impl From<QuantiseName> for Quantise {
     fn from(name: QuantiseName) -> Self {
         match name {
@@ -151,6 +173,10 @@ impl Eval {
         self.run.is_some()
     }
 
+    fn lpips(&self) -> Result<Option<Lpips>, Failure> {
+        self.lpips.as_deref().map(|file| read_lpips(file, self.lpips_range)).transpose()
+    }
+
     fn asks_for(&self, name: MetricName) -> bool {
         self.metrics.as_ref().is_some_and(|m| m.contains(&name))
     }
@@ -170,7 +196,7 @@ impl Eval {
         let mut run = self.place.open(root, global)?;
         run.device = device;
         run.quantise = self.quantise.map_or(Quantise::None, Into::into);
-        run.lpips = self.lpips.as_deref().map(read_lpips).transpose()?.map(Arc::new);
+        run.lpips = self.lpips()?.map(Arc::new);
         let dataset = run.open_data()?;
         let background = self.background.unwrap_or_else(|| run.background());
         let split = self.split.into();
@@ -221,7 +247,7 @@ impl Eval {
             gt: gt.to_owned(),
             mask: self.mask.clone(),
             metrics: self.metrics.as_ref().map_or(Metric::ALL.to_vec(), named),
-            lpips: self.lpips.as_deref().map(read_lpips).transpose()?,
+            lpips: self.lpips()?,
             tof: self.tof()?,
             quantise: self.quantise.map_or(Quantise::None, Into::into),
             background,
@@ -245,9 +271,9 @@ impl Eval {
 }
 
 /// LPIPS with the weights of a file.
-pub fn read_lpips(path: &Path) -> Result<Lpips, Failure> {
+pub fn read_lpips(path: &Path, range: RangeName) -> Result<Lpips, Failure> {
     let bytes = read_file(path, &Limits::default()).map_err(gs4d_run::RunError::from)?;
-    Lpips::read(&bytes).map_err(|e| {
+    Lpips::read(&bytes).map(|lpips| lpips.with_range(range.into())).map_err(|e| {
         Failure::new(Class::Data, "data.weights", e.to_string())
             .place(path.display())
             .remedy("make the file as docs/guide/report.md says, with Python's packages lpips and safetensors")

@@ -1,6 +1,6 @@
 //! `gs4d reproduce`: the tables of the papers, run here.
 
-use super::eval::read_lpips;
+use super::eval::{RangeName, read_lpips};
 use super::jobs::{Jobs, with_missing};
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
@@ -55,6 +55,9 @@ pub struct ReproduceVerb {
     /// Adds LPIPS with the weights of this safetensors file (see gs4d eval).
     #[arg(long, value_name = "FILE")]
     lpips: Option<PathBuf>,
+    /// What LPIPS makes of colours: unit as in the papers' codes, or signed as the network was trained.
+    #[arg(long, value_enum, default_value_t = RangeName::Unit, requires = "lpips")]
+    lpips_range: RangeName,
     /// Folder of generated scenes, trials and results; finished trials in it are not trained again.
     #[arg(short, long, value_name = "DIR", requires = "table")]
     out: Option<PathBuf>,
@@ -86,7 +89,8 @@ impl ReproduceVerb {
             sets: self.sets,
             root,
         };
-        let lpips = self.lpips.as_deref().map(read_lpips).transpose()?.map(Arc::new);
+        let range = self.lpips_range;
+        let lpips = self.lpips.as_deref().map(|file| read_lpips(file, range)).transpose()?.map(Arc::new);
         reproduce(&Reproduction::new(table, conditions).map_err(failure)?, lpips.as_ref(), &self.jobs, global)
     }
 }

@@ -21,6 +21,11 @@ fn a_run_and_a_folder_have_the_same_lpips_and_it_stays_with_the_run() {
     let said = good(&["eval", text(&own), "--lpips", text(&weights)]).out;
     assert!(said.contains("lpips ") && said.contains("(alex "), "{said}");
 
+    let unit = good(&["eval", text(&own), "--lpips", text(&weights), "--lpips-range", "unit", "--json"]).json();
+    assert!(unit["lpips_weights"].as_str().unwrap().ends_with("colours in [0, 1]"));
+    assert!((unit["mean"]["lpips"].as_f64().unwrap() - lpips).abs() > 1e-6);
+    good(&["eval", text(&own), "--lpips", text(&weights)]);
+
     // Rounded frames are those of PNG files.
     let frames = dir.path().join("frames");
     let cameras = data().join("transforms_test.json");
