@@ -1,6 +1,6 @@
 //! Tables of figures in the documents, and whether the presets they name are still what was measured.
 //!
-//! `docs/tables.toml` lists every table of figures in `README.md` and below `docs`: the file, how its head begins, the command, the commit
+//! `docs/tables.toml` lists every table of figures in `README.md` and below `docs`: the file, how its head begins, the command, the commit where it is known
 //! and the seeds. A table that depends on a preset names it with a digest of its settings, and `docs/presets/METHOD-PRESET.toml` keeps them
 //! (the output of `gs4d config METHOD --preset PRESET`, comments may be left out). [`check`] compares them with the presets of this program. A setting that
 //! has another value now, or is gone, makes the table old. A setting that came later does not: it is added with a default that changes nothing.
@@ -25,8 +25,9 @@ pub struct Listed {
     pub head: String,
     /// The command that measured it.
     pub command: String,
-    /// The commit it was measured at; of a table of several, the oldest.
-    pub commit: String,
+    /// The commit it was measured at, of several the oldest; absent where it was not written down.
+    #[serde(default)]
+    pub commit: Option<String>,
     /// Seeds of the runs; empty where nothing is drawn by chance.
     #[serde(default)]
     pub seeds: Vec<u64>,

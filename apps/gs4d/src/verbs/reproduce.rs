@@ -175,7 +175,11 @@ fn check(root: &Path, global: &Global) -> Result<Answer, Failure> {
     })?;
     let number = checked.findings.len();
     let mut text: String = checked.findings.iter().map(|f| format!("{f}\n")).collect();
-    text.push_str(&format!("{} tables of figures, {number} findings\n", checked.tables.len()));
+    let unknown = checked.tables.iter().filter(|(listed, _)| listed.commit.is_none()).count();
+    text.push_str(&format!(
+        "{} tables of figures, {unknown} of them without a commit; {number} findings\n",
+        checked.tables.len()
+    ));
     let answer = Answer::new(text, json!(checked));
     if number == 0 {
         return Ok(answer);
