@@ -75,8 +75,11 @@ pub struct Order {
     pub published: Option<f64>,
     /// Mean over pairs of the same scene and seed.
     pub ours: Option<f64>,
-    /// Half the 95 % interval of that mean by Student's t; absent below two pairs.
+    /// Half the 95 % interval of that mean by Student's t, over the means of scenes where there are three, else over pairs: seeds of one scene
+    /// are not as independent as scenes are. Absent below two pairs.
     pub half_width: Option<f64>,
+    /// Number of scenes whose means the interval is over; 0: it is over pairs.
+    pub scenes: usize,
     /// Number of pairs.
     pub pairs: usize,
     /// What they say; absent where the paper has no difference.
@@ -272,8 +275,8 @@ fn orders(reproduction: &Reproduction, results: &[Results]) -> Vec<Order> {
     let printed = |entry: &str| table.published_average(entry, 0);
     let order = |(k, other): (usize, &&TableEntry)| {
         let published = printed(&first.name).zip(printed(&other.name)).map(|(a, b)| a - b);
-        let pairs: Vec<f64> = results.iter().flat_map(|r| differences(&r.standings, k, column)).collect();
-        Order::of(other.name.clone(), published, &pairs)
+        let scenes: Vec<Vec<f64>> = results.iter().map(|r| differences(&r.standings, k, column)).collect();
+        Order::of(other.name.clone(), published, &scenes)
     };
     names.iter().enumerate().skip(1).map(order).collect()
 }
@@ -286,13 +289,18 @@ fn differences(standings: &[Standing], other: usize, column: Column) -> Vec<f64>
 }
 
 impl Order {
-    fn of(other: String, published: Option<f64>, pairs: &[f64]) -> Self {
-        let spread = Spread::of(pairs);
-        let half_width = spread.filter(|_| pairs.len() > 1).map(|s| {
-            let n = pairs.len();
+    /// From the differences of every scene.
+    fn of(other: String, published: Option<f64>, scenes: &[Vec<f64>]) -> Self {
+        let pairs = scenes.concat();
+        let means: Vec<f64> = scenes.iter().filter_map(|pairs| Spread::of(pairs)).map(|s| s.mean).collect();
+        let samples = if means.len() > 2 { &means } else { &pairs };
+        let spread = Spread::of(samples);
+        let half_width = spread.filter(|_| samples.len() > 1).map(|s| {
+            let n = samples.len();
             student_975(n - 1) * s.deviation / (n as f64).sqrt()
         });
         let ours = spread.map(|s| s.mean);
+        let scenes = if means.len() > 2 { means.len() } else { 0 };
         let verdict = published.and_then(|p| Some((p, ours?))).map(|(published, ours)| match half_width {
             Some(half) if pairs.len() > 2 && ours.abs() > half => {
                 if ours * published > 0.0 {
@@ -303,7 +311,7 @@ impl Order {
             }
             _ => Verdict::NotShown,
         });
-        Self { other, published, ours, half_width, pairs: pairs.len(), verdict }
+        Self { other, published, ours, half_width, scenes, pairs: pairs.len(), verdict }
     }
 }
 
@@ -353,7 +361,7 @@ mod tests {
 
     #[test]
     fn the_order_needs_an_interval_on_one_side() {
-        let of = |published, pairs: &[f64]| Order::of("other".into(), published, pairs).verdict;
+        let of = |published, pairs: &[f64]| Order::of("other".into(), published, &[pairs.to_vec()]).verdict;
         assert_eq!(of(Some(0.8), &[0.5, 0.6, 0.7]), Some(Verdict::AsPublished));
         assert_eq!(of(Some(-0.8), &[0.5, 0.6, 0.7]), Some(Verdict::Opposite));
         assert_eq!(of(Some(0.8), &[0.5, -0.6, 0.7]), Some(Verdict::NotShown));
@@ -364,9 +372,13 @@ mod tests {
 
     #[test]
     fn the_interval_is_students() {
-        let order = Order::of("other".into(), None, &[1.0, 2.0, 3.0]);
+        let order = Order::of("other".into(), None, &[vec![1.0, 2.0, 3.0]]);
         assert!((order.half_width.unwrap() - 4.303 / 3f64.sqrt()).abs() < 1e-12);
-        assert_eq!((order.ours, order.pairs), (Some(2.0), 3));
+        assert_eq!((order.ours, order.pairs, order.scenes), (Some(2.0), 3, 0));
+        // Three scenes with seeds that agree: as uncertain as three scenes.
+        let order = Order::of("other".into(), None, &[vec![1.0; 5], vec![2.0; 5], vec![3.0; 5]]);
+        assert!((order.half_width.unwrap() - 4.303 / 3f64.sqrt()).abs() < 1e-12);
+        assert_eq!((order.ours, order.pairs, order.scenes), (Some(2.0), 15, 3));
         assert!((student_975(31) - 2.0395).abs() < 1e-3 && (student_975(120) - 1.9799).abs() < 1e-3);
     }
 }

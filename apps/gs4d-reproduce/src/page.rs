@@ -65,9 +65,10 @@ fn rows(outcome: &Outcome) -> (Vec<String>, Vec<Vec<String>>) {
 
 /// What an order says, in one sentence.
 pub fn sentence(first: &str, order: &Order, unit: &str) -> String {
-    let Order { other, published, ours, half_width, pairs, verdict } = order;
+    let Order { other, published, ours, half_width, scenes, pairs, verdict } = order;
+    let over = if *scenes > 0 { format!(" over {scenes} scenes") } else { String::new() };
     let here = match (ours, half_width) {
-        (Some(ours), Some(half)) => format!("here {ours:+.2} ±{half:.2}{unit} (95 %, {pairs} pairs)"),
+        (Some(ours), Some(half)) => format!("here {ours:+.2} ±{half:.2}{unit} (95 %{over}, {pairs} pairs)"),
         (Some(ours), None) => format!("here {ours:+.2}{unit} (one pair)"),
         (None, _) => "not run here".to_owned(),
     };
@@ -161,12 +162,13 @@ mod tests {
             published: Some(0.77),
             ours: Some(0.12),
             half_width,
+            scenes: 3,
             pairs: 9,
             verdict: Some(verdict),
         };
         assert_eq!(
             sentence("FAGS", &order(Verdict::NotShown, Some(0.3)), " dB"),
-            "FAGS less Grid4D: published +0.77 dB; here +0.12 ±0.30 dB (95 %, 9 pairs): no order is shown."
+            "FAGS less Grid4D: published +0.77 dB; here +0.12 ±0.30 dB (95 % over 3 scenes, 9 pairs): no order is shown."
         );
         assert!(
             sentence("FAGS", &order(Verdict::AsPublished, Some(0.1)), " dB")
