@@ -38,8 +38,8 @@
 //! any number of threads; other instruction sets differ by rounding only.
 //!
 //! # What it leaves out
-//! Opacities and colours do not change with time. Checkpoints of other codes are not imported: the reference mirrors
-//! its spatial axes and this crate does not. Timestamps have no gradient. Points are not sorted before a HexPlane is
+//! Opacities and colours do not change with time. The axes of a HexPlane are not mirrored, as those of the
+//! reference are; `gs4d-checkpoints` turns its planes. Timestamps have no gradient. Points are not sorted before a HexPlane is
 //! sampled: measured, sorting gains a tenth of the whole field at best.
 #![warn(unreachable_pub)]
 

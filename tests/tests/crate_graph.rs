@@ -36,12 +36,14 @@ const APPS: &[(&str, &[&str])] = &[
     ("gs4d-run", &["gs4d-eval", "gs4d-report"]),
     ("gs4d-doctor", &["gs4d-report", "gs4d-run"]),
     ("gs4d-import", &[]),
+    ("gs4d-checkpoints", &[]),
     ("gs4d-lab", &["gs4d-eval", "gs4d-report", "gs4d-run"]),
     ("gs4d-reproduce", &["gs4d-eval", "gs4d-lab", "gs4d-report", "gs4d-run"]),
     ("gs4d-view", &["gs4d-eval", "gs4d-player", "gs4d-report", "gs4d-run"]),
     (
         "gs4d",
         &[
+            "gs4d-checkpoints",
             "gs4d-doctor",
             "gs4d-eval",
             "gs4d-import",

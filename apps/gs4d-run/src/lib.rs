@@ -11,6 +11,7 @@ mod commands;
 pub mod compact;
 pub mod compare;
 pub mod config;
+mod elsewhere;
 mod error;
 pub mod flight;
 pub mod folder;
@@ -30,6 +31,7 @@ pub mod summary;
 pub mod training;
 mod work;
 
+pub use elsewhere::Elsewhere;
 pub use error::RunError;
 pub use folder::RunFolder;
 pub use gs_data::shell_quoted;

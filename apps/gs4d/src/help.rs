@@ -6,7 +6,7 @@ use std::sync::LazyLock;
 const GROUPS: [(&str, &[&str]); 4] = [
     ("Compare", &["compare", "continual", "reproduce"]),
     ("Look inside", &["methods", "config", "inspect", "forecast", "segment", "glmd"]),
-    ("Make data", &["synth", "pose"]),
+    ("Make data, take over a scene", &["synth", "pose", "import-checkpoint"]),
     ("Measure, and set up a shell", &["lab", "bench", "completions", "man"]),
 ];
 
@@ -29,7 +29,7 @@ pub fn after(command: &clap::Command) -> String {
         text.push_str(&format!("{group}:\n"));
         for name in names {
             let about = command.find_subcommand(name).and_then(|c| c.get_about()).map(ToString::to_string);
-            text.push_str(&format!("  {name:<11} {}\n", about.unwrap_or_default()));
+            text.push_str(&format!("  {name:<17} {}\n", about.unwrap_or_default()));
         }
         text.push('\n');
     }

@@ -59,6 +59,8 @@ enum Verb {
     #[command(hide = true)]
     Reproduce(Box<verbs::reproduce::ReproduceVerb>),
     #[command(hide = true)]
+    ImportCheckpoint(verbs::import_checkpoint::ImportCheckpointVerb),
+    #[command(hide = true)]
     Methods(verbs::methods::Methods),
     #[command(hide = true)]
     Config(verbs::config::ShowConfig),
@@ -114,6 +116,7 @@ fn run(cli: Cli) -> Result<Answer, Failure> {
     match cli.verb {
         Verb::Demo(verb) => verb.run(global),
         Verb::Import(verb) => verb.run(global),
+        Verb::ImportCheckpoint(verb) => verb.run(global),
         Verb::Doctor(verb) => verb.run(global),
         Verb::Init(verb) => verb.run(global),
         Verb::Synth(verb) => verb.run(global),

@@ -13,6 +13,7 @@ pub mod export;
 pub mod forecast;
 pub mod glmd;
 pub mod import;
+pub mod import_checkpoint;
 pub mod init;
 pub mod inspect;
 pub mod jobs;

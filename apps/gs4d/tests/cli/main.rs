@@ -16,6 +16,7 @@ mod glmd;
 mod guide;
 mod hostile;
 mod import;
+mod import_checkpoint;
 mod kill;
 mod lab;
 mod large;

@@ -1,0 +1,68 @@
+//! Deformable-3D-GS as method `defgs`.
+
+use crate::cloud::{cloud, layer, set, whole};
+use crate::file::{Exported, misshapen};
+use crate::{CheckpointError, Scene};
+
+const CODE: &str = "Deformable-3D-GS";
+const METHOD: &str = "defgs";
+/// Values of an encoded position: three, and a sine and a cosine of each in ten bands.
+const POSITION: usize = 63;
+
+pub(crate) fn scene(file: &Exported<'_>) -> Result<Scene, CheckpointError> {
+    if file.flag("is_6dof")? {
+        let what = "the screw motion (is_6dof)".to_owned();
+        return Err(CheckpointError::Unsupported { code: CODE, what, method: METHOD });
+    }
+    let part = cloud(file)?;
+    let (mut settings, mut tensors) = (part.settings, part.tensors);
+    let first = "deform.linear.0.weight";
+    let [width, inputs] = file.matrix(first)?;
+    let depth = (0..).take_while(|k| file.has(&format!("deform.linear.{k}.weight"))).count();
+    let wrong = || misshapen(first, &[width, inputs], format!("F32 [_, {POSITION} and the encoded time]"));
+    let time = inputs.checked_sub(POSITION).ok_or_else(wrong)?;
+    let encoded = match file.has("deform.timenet.0.weight") {
+        true => {
+            let [hidden, encoded] = file.matrix("deform.timenet.0.weight")?;
+            tensors.extend(layer(file, "deform.timenet.0", "field.time.0", [hidden, encoded])?);
+            tensors.extend(layer(file, "deform.timenet.2", "field.time.1", [time, hidden])?);
+            settings.extend([set("field.time_hidden", whole(hidden)), set("field.time_features", whole(time))]);
+            encoded
+        }
+        false => {
+            settings.push(set("field.time_hidden", 0));
+            time
+        }
+    };
+    if encoded % 2 == 0 {
+        return Err(wrong());
+    }
+    let skip = depth / 2;
+    for k in 0..depth {
+        let takes = match k {
+            0 => inputs,
+            k if k == skip + 1 => inputs + width,
+            _ => width,
+        };
+        tensors.extend(layer(file, &format!("deform.linear.{k}"), &format!("field.layer.{k}"), [width, takes])?);
+    }
+    for (from, to, outputs) in [("warp", "means", 3), ("rotation", "quats", 4), ("scaling", "scales", 3)] {
+        tensors.extend(layer(file, &format!("deform.gaussian_{from}"), &format!("field.{to}"), [outputs, width])?);
+    }
+    settings.extend([
+        set("field.width", whole(width)),
+        set("field.depth", whole(depth)),
+        set("field.skip", whole(skip)),
+        set("field.bands_time", whole((encoded - 1) / 2)),
+    ]);
+    Ok(Scene {
+        code: CODE,
+        iteration: file.iteration()?,
+        method: METHOD,
+        rows: part.rows,
+        settings,
+        tensors,
+        bounds: part.bounds,
+        notes: Vec::new(),
+    })
+}
