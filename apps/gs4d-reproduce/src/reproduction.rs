@@ -189,13 +189,18 @@ impl Reproduction {
 
     /// The entries of the contest of a scene, in the order of [`Table::runnable`].
     fn entries(&self, scene: &Chosen) -> Result<Vec<Entry>, TableError> {
+        let Conditions { preset, length, .. } = &self.conditions;
+        let as_published = preset.is_none() && *length == Length::Recipe;
         let own = |e: &TableEntry| match scene {
-            Chosen::Published(scene, _) => scene.own.get(&e.name).map_or(&[][..], Vec::as_slice),
-            Chosen::Generated(_) => &[],
+            Chosen::Published(scene, _) => {
+                let recipe = if as_published { e.recipe(scene) } else { &[] };
+                scene.own.get(&e.name).into_iter().flatten().chain(recipe).cloned().collect()
+            }
+            Chosen::Generated(_) => Vec::new(),
         };
-        let preset = |e: &TableEntry| self.conditions.preset.clone().unwrap_or_else(|| e.preset.clone());
+        let preset = |e: &TableEntry| preset.clone().unwrap_or_else(|| e.preset.clone());
         let wrong = |why| TableError::Wrong { name: self.table.full_name(), why };
-        self.table.runnable().map(|e| e.contest_entry(&preset(e), own(e)).map_err(wrong)).collect()
+        self.table.runnable().map(|e| e.contest_entry(&preset(e), &own(e)).map_err(wrong)).collect()
     }
 
     /// Scores the trials once more with LPIPS, unless they have it by these weights, and keeps the scores in their folders.
@@ -304,6 +309,25 @@ mod tests {
         let table = Reproduction::new(Table::find("fags", "neu3d").unwrap(), published).unwrap();
         let labels = table.entries(&table.scenes[0]).unwrap().into_iter().map(|e| e.label).collect::<Vec<_>>();
         assert_eq!(labels, ["fags:neu3d", "grid4d:neu3d", "fourdgs:paper"]);
+
+        std::fs::create_dir_all(root.path().join("captures/broom")).unwrap();
+        let labels = |preset: Option<&str>, length: Length| -> Vec<String> {
+            let own = Conditions { preset: preset.map(str::to_owned), length, ..conditions(root.path()) };
+            let table = Reproduction::new(Table::find("fags", "hypernerf-vrig").unwrap(), own).unwrap();
+            table.entries(&table.scenes[0]).unwrap().into_iter().map(|e| e.label).collect()
+        };
+        let published = labels(None, Length::Recipe);
+        let with_recipe = |label: &str| label.contains("field.bound=0.8 ") && label.contains("warm_up.steps=0 ");
+        assert!(
+            with_recipe(&published[0]) && with_recipe(&published[1]) && published[2] == "fourdgs:paper",
+            "{published:?}"
+        );
+        for labels in [labels(Some("fast"), Length::Recipe), labels(None, Length::Steps(100))] {
+            assert!(
+                !labels.iter().any(|l| l.contains("field.bound")),
+                "lengths of the recipe are not those of this run"
+            );
+        }
     }
 
     #[test]

@@ -86,6 +86,9 @@ pub struct TableEntry {
     /// Preset of the published recipe.
     #[serde(default = "paper_preset")]
     pub preset: String,
+    /// The entry whose [`Scene::recipe`] this one has, too.
+    #[serde(default)]
+    pub recipe_of: Option<String>,
 }
 
 /// A scene of a table.
@@ -103,6 +106,10 @@ pub struct Scene {
     /// Settings of single entries on this scene, `KEY=VALUE` by name of the entry.
     #[serde(default)]
     pub own: BTreeMap<String, Vec<String>>,
+    /// What the published recipe of an entry is on this scene where its preset differs, `KEY=VALUE` by name of the entry. Lengths in steps are among it,
+    /// so it counts only where the recipe is run at its published length.
+    #[serde(default)]
+    pub recipe: BTreeMap<String, Vec<String>>,
     /// Published figures by entry, as those of [`Table::average`].
     #[serde(default)]
     pub published: BTreeMap<String, Vec<f64>>,
@@ -183,7 +190,8 @@ impl Table {
         for entry in self.runnable() {
             entry.contest_entry("fast", &[])?;
         }
-        if let Some(entry) = self.scenes.iter().flat_map(|s| s.own.keys()).find(|e| !known(e)) {
+        let of_scenes = self.scenes.iter().flat_map(|s| s.own.keys().chain(s.recipe.keys()));
+        if let Some(entry) = of_scenes.chain(self.entries.iter().flat_map(|e| &e.recipe_of)).find(|e| !known(e)) {
             return Err(format!("settings of {entry} belong to no entry"));
         }
         match self.columns.iter().find(|c| self.data.is_some() && Column::named(c).is_none()) {
@@ -213,6 +221,11 @@ fn figure(figures: &BTreeMap<String, Vec<f64>>, entry: &str, column: usize) -> O
 }
 
 impl TableEntry {
+    /// Settings of the published recipe on a scene.
+    pub(crate) fn recipe<'a>(&self, scene: &'a Scene) -> &'a [String] {
+        scene.recipe.get(self.recipe_of.as_ref().unwrap_or(&self.name)).map_or(&[], Vec::as_slice)
+    }
+
     /// The entry of a contest with a preset and further settings.
     ///
     /// # Errors
@@ -257,8 +270,26 @@ mod tests {
                         sets: table.sets.iter().cloned().chain(sets).chain(of_scenes.clone()).collect(),
                         ..Default::default()
                     };
-                    gs4d_run::settings::resolve(registry, &request)
-                        .unwrap_or_else(|e| panic!("{}: {}: {e}", table.full_name(), entry.name));
+                    let resolved = |request: &gs4d_run::settings::Request| {
+                        gs4d_run::settings::resolve(registry, request)
+                            .unwrap_or_else(|e| panic!("{}: {}: {e}", table.full_name(), entry.name))
+                    };
+                    let plain = resolved(&request);
+                    for scene in table.scenes.iter().filter(|_| preset == entry.preset) {
+                        let recipe = entry.recipe(scene).to_vec();
+                        let own = resolved(&gs4d_run::settings::Request { sets: recipe.clone(), ..request.clone() });
+                        let same = |set: &&String| {
+                            let key = set.split('=').next().unwrap_or_default();
+                            plain.config.get(key).map(|s| &s.value) == own.config.get(key).map(|s| &s.value)
+                        };
+                        assert_eq!(
+                            recipe.iter().find(same),
+                            None,
+                            "{} {}: no difference",
+                            table.full_name(),
+                            scene.name
+                        );
+                    }
                 }
             }
         }
