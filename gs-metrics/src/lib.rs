@@ -13,6 +13,7 @@
 //! | tOF: flow of a render against flow of the ground truth | [`Tof`] | | [`tof`] |
 //! | instance masks: AP, PQ, F1, mIoU | [`Segmentation`] | | [`segmentation`] |
 //! | perceptual **proxy**, without learned weights, not LPIPS | [`perceptual_proxy`], [`masked_perceptual_proxy`] | | [`perceptual`] |
+//! | linear map of colours nearest to the ground truth | [`ColorMap::fit`] | [`ColorMap::pull_back`] | [`ColorMap`] |
 //! | LPIPS, with the user's weights | [`Lpips::distance`] | | [`lpips`] |
 //! | ID-MRF texture loss on fixed filters, without learned weights | [`Mrf::value`](mrf::Mrf::value) | [`Mrf::value_and_grad`](mrf::Mrf::value_and_grad) | [`mrf`] |
 //! | means over views | [`Scorer`], [`Summary`] | | [`report`] |
@@ -42,6 +43,7 @@
 #![warn(unreachable_pub)]
 #![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 
+pub mod color_map;
 pub mod error;
 mod fft2;
 pub mod flow;
@@ -69,6 +71,7 @@ pub mod trajectory;
 mod weights;
 mod window;
 
+pub use color_map::ColorMap;
 pub use error::MetricError;
 pub use flow::Flow;
 pub use lpips::{Lpips, LpipsNet, LpipsRange};

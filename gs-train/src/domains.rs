@@ -82,6 +82,8 @@ pub const SHARED: &[Domain] = &[
     within("lr_batch", 1.0, 256.0),
     within("dilation", 0.0, 100.0),
     within("lambda_dssim", 0.0, 1.0),
+    within("exposure.after", 0.0, 1.0),
+    within("exposure.ridge", 1e-9, 1e9),
     within("lambda_depth", 0.0, 1e4),
     within("lambda_fre", 0.0, 1e4),
     within("lambda_l1", 0.0, 1e4),

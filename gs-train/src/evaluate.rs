@@ -21,8 +21,8 @@ use crate::timestamp::Timestamp;
 use gs_core::{Camera, Image, Splats};
 use gs_data::{DataError, Dataset, ImageCache, Split, View};
 use gs_metrics::{
-    Lpips, Mean, MetricError, Quantise, Scorer, Scores, Sharpness, SsimOptions, Summary, masked_mse,
-    masked_perceptual_proxy, masked_ssim, person_scores, psnr_from_mse,
+    ColorMap, Lpips, Mean, MetricError, Quantise, Scorer, Scores, Sharpness, SsimOptions, Summary, masked_mse,
+    masked_perceptual_proxy, masked_ssim, mse, person_scores, psnr_from_mse, ssim,
 };
 use gs_raster::{DeviceError, Frame};
 use serde::{Deserialize, Serialize};
@@ -32,8 +32,19 @@ use std::sync::Arc;
 pub const PROTOCOL: &str = "f32 frames clamped to [0, 1], not quantised; SSIM 11x11 with zero padding; perceptual_proxy is not LPIPS; masked scores \
      where views carry masks: PSNR over weighted pixels, SSIM by partial convolution (DyCheck)";
 
-/// [`PROTOCOL`] of frames that are rounded.
-fn protocol(quantise: Quantise) -> String {
+/// Ridge of the maps of [`FittedScores`]: only what the pixels do not tell stays as it is.
+const FIT_RIDGE: f64 = 1e-9;
+
+/// What is added for [`FittedScores`].
+const FITTED: &str =
+    "; fitted: after the linear map of colours that brings each frame nearest to its image by least squares";
+
+/// [`PROTOCOL`] of frames that are rounded, and of scores in the colours of the images.
+fn protocol(quantise: Quantise, fit_colors: bool) -> String {
+    format!("{}{}", rounded(quantise), if fit_colors { FITTED } else { "" })
+}
+
+fn rounded(quantise: Quantise) -> String {
     let rounded = match quantise {
         Quantise::None => return PROTOCOL.to_owned(),
         Quantise::Round => "frames and truths clamped to [0, 1] and rounded to 8 bit",
@@ -108,6 +119,39 @@ impl MaskedScores {
     }
 }
 
+/// Scores after the linear map of colours that brings a frame nearest to its image by least squares ([`ColorMap`]); where a view has a mask, of what counts
+/// there.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FittedScores {
+    /// dB; absent for no error (infinite).
+    pub psnr: Option<f64>,
+    /// SSIM; absent where a masked side has less than 11 pixels.
+    pub ssim: Option<f64>,
+}
+
+impl FittedScores {
+    /// Of a frame, not clamped.
+    fn of(frame: &Image, truth: &Image, mask: Option<&Image>) -> Result<Self, MetricError> {
+        let mut fitted = frame.clone();
+        ColorMap::fit(frame, truth, mask, FIT_RIDGE)?.apply(&mut fitted);
+        fitted.data.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
+        let (mse, ssim) = match mask {
+            Some(mask) => (masked_mse(&fitted, truth, mask), masked_ssim(&fitted, truth, mask).ok().map(|s| s.whole)),
+            None => (mse(&fitted, truth), Some(ssim(&fitted, truth, &SsimOptions::default())?)),
+        };
+        let psnr = match mse {
+            Err(MetricError::EmptyMask) => None,
+            other => Some(psnr_from_mse(other?)).filter(|v| v.is_finite()),
+        };
+        Ok(Self { psnr, ssim })
+    }
+
+    fn mean(all: impl Iterator<Item = Self> + Clone) -> Option<Self> {
+        let of = |score: fn(Self) -> Option<f64>| Mean::of(all.clone().filter_map(score)).value;
+        all.clone().next().map(|_| Self { psnr: of(|s| s.psnr), ssim: of(|s| s.ssim) })
+    }
+}
+
 /// The scores of one view.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ViewScores {
@@ -135,6 +179,9 @@ pub struct ViewScores {
     /// Scores where the view's mask counts; absent without a mask, or with an empty one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub masked: Option<MaskedScores>,
+    /// Scores in the colours of the image, where those were asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fitted: Option<FittedScores>,
     /// The correction that the view's camera was rendered with, where cameras were refined.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera: Option<Correction>,
@@ -163,6 +210,9 @@ pub struct MeanScores {
     /// Means of the masked scores, where views have them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub masked: Option<MaskedScores>,
+    /// Means of the scores in the colours of the images, where those were asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fitted: Option<FittedScores>,
 }
 
 /// The scores of a split.
@@ -283,12 +333,14 @@ pub struct Scoring<'a> {
     pub quantise: Quantise,
     /// Scores LPIPS as well.
     pub lpips: Option<&'a Lpips>,
+    /// Scores in the colours of the images as well ([`FittedScores`]), which methods that were trained so always get.
+    pub fit_colors: bool,
 }
 
 impl<'a> Scoring<'a> {
-    /// Frames that are not rounded, without LPIPS.
+    /// Frames that are not rounded, without LPIPS, in their own colours.
     pub fn new(background: [f32; 3], images: &'a ImageCache, share: &'a Share, device: &'a Device) -> Self {
-        Self { background, images, share, device, quantise: Quantise::None, lpips: None }
+        Self { background, images, share, device, quantise: Quantise::None, lpips: None, fit_colors: false }
     }
 }
 
@@ -316,7 +368,8 @@ pub fn evaluate_splats(
     split: Split,
     scoring: &Scoring<'_>,
 ) -> Result<EvalReport, EvalError> {
-    let Scoring { background, images, share, device, quantise, lpips } = *scoring;
+    let Scoring { background, images, share, device, quantise, lpips, fit_colors } = *scoring;
+    let fit_colors = fit_colors || model.schedule().exposure.fit;
     let views = dataset.views(split);
     if views.is_empty() {
         return Err(EvalError::NoViews(split_name(split)));
@@ -343,7 +396,10 @@ pub fn evaluate_splats(
         let scored = scorer.score(&rendered, &truth).and_then(|scores| {
             Ok((ViewScores::of(view, &scores, [&rendered, &truth], mask.as_deref(), lpips)?, scores.mse))
         });
-        let scored = scored.map(|(scores, mse)| (ViewScores { camera: corrections[k], ..scores }, mse));
+        let scored = scored.and_then(|(scores, mse)| {
+            let fitted = fit_colors.then(|| FittedScores::of(&frame.rgb, &truth, mask.as_deref())).transpose()?;
+            Ok((ViewScores { camera: corrections[k], fitted, ..scores }, mse))
+        });
         scored.map_err(|source| EvalError::Metric { view: view.name.clone(), source })
     })?;
     let scores: Vec<Scores> = scored.iter().map(|(view, mse)| view.with_mse(*mse)).collect();
@@ -354,7 +410,7 @@ pub fn evaluate_splats(
         split: split_name(split).to_owned(),
         background,
         scale: images.scale(),
-        protocol: protocol(quantise),
+        protocol: protocol(quantise, fit_colors),
         lpips_weights: lpips.map(Lpips::weights),
         mean: mean_scores(&summary, &views),
         psnr_of_mean_mse: summary.psnr_of_mean_mse.filter(|v| v.is_finite()),
@@ -397,6 +453,7 @@ fn mean_scores(summary: &Summary, views: &[ViewScores]) -> MeanScores {
         laplacian_ratio: mean(|v| v.laplacian_ratio),
         high_band_ratio: mean(|v| v.high_band_ratio),
         masked: MaskedScores::mean(views.iter().filter_map(|v| v.masked)),
+        fitted: FittedScores::mean(views.iter().filter_map(|v| v.fitted)),
     }
 }
 
@@ -421,6 +478,7 @@ impl ViewScores {
             laplacian_ratio: sharpness.and_then(|s| s.laplacian),
             high_band_ratio: sharpness.and_then(|s| s.high_band),
             camera: None,
+            fitted: None,
             masked: mask.map(|m| MaskedScores::of(image, truth, m, lpips)).transpose()?.flatten(),
         })
     }

@@ -15,19 +15,24 @@
 //! A method adds terms of its own ([`Model::with_loss`](crate::model::Model::with_loss)), such as [`TextureTerm`] (DUT). Terms of
 //! weight 0 are not computed. The ground truth stays 8-bit with alpha and is composited over the background here.
 //!
+//! With [`GroundTruth::exposure`] the render is `A x`, in the colours of the ground truth, and the gradient `Aᵀ dL/dx`.
+//!
 //! With a mask `m` ([`GroundTruth::mask`]) the ground truth is `m y + (1 − m) x`, and the gradient `m dL/dx`: what is rendered outside is right as it is.
 
 mod depth;
+mod exposure;
 mod mask;
 mod region;
 mod terms;
 
+pub(crate) use exposure::Exposures;
+pub use exposure::{ExposureConfig, ExposureFit};
 pub use region::Region;
 pub use terms::{Dssim, LossTerm, SpectrumTerm, TermValue, TextureTerm};
 
 use gs_core::Image;
 use gs_data::ImageU8;
-use gs_metrics::MetricError;
+use gs_metrics::{ColorMap, MetricError};
 use gs_raster::{Frame, FrameGrad};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -51,6 +56,9 @@ pub struct LossValues {
     pub mse: f64,
     /// The other terms that were computed, by name: SSIM itself, distances.
     pub terms: Vec<(Cow<'static, str>, f64)>,
+    /// The map from the frame to the colours of its image, where one was fitted; none in a mean over views.
+    #[serde(default)]
+    pub color_map: Option<ColorMap>,
 }
 
 impl LossValues {
@@ -84,6 +92,8 @@ pub struct GroundTruth<'a> {
     pub mask: Option<&'a Image>,
     /// `[H, W, 1]`: camera-space z in world units, 0 where it was not measured.
     pub depth: Option<&'a Image>,
+    /// How the frame is mapped to the colours of the image before they are compared; none: they are compared as they are.
+    pub exposure: Option<ExposureFit>,
 }
 
 /// The image loss, with buffers kept between calls.
@@ -92,6 +102,7 @@ pub struct ImageLoss {
     depth: f32,
     terms: Vec<WeightedTerm>,
     ground_truth: Image,
+    mapped: Image,
 }
 
 struct WeightedTerm {
@@ -103,7 +114,8 @@ struct WeightedTerm {
 impl ImageLoss {
     /// `l1` times the mean absolute difference, and nothing else.
     pub fn new(l1: f32) -> Self {
-        Self { l1, depth: 0.0, terms: Vec::new(), ground_truth: Image::default() }
+        let (ground_truth, mapped) = Default::default();
+        Self { l1, depth: 0.0, terms: Vec::new(), ground_truth, mapped }
     }
 
     /// The same with another term; one of weight 0 is left out.
@@ -147,12 +159,21 @@ impl ImageLoss {
                 return Err(MetricError::Shape { what, first, second });
             }
         }
+        let mut mapped = std::mem::take(&mut self.mapped);
+        let fitted = truth.exposure.map(|e| e.apply(rendered, &target, mask, &mut mapped)).transpose()?;
+        let shown = if fitted.is_some() { &mapped } else { rendered };
         if let Some(mask) = mask {
-            mask::keep_outside(mask, rendered, &mut target);
+            mask::keep_outside(mask, shown, &mut target);
         }
-        let values = self.evaluate_within(rendered, &target, region, grad);
+        let values = self.evaluate_within(shown, &target, region, grad);
         self.ground_truth = target;
         let mut values = values?;
+        if let Some(ExposureFit { map, .. }) = truth.exposure {
+            map.pull_back(&mut grad.rgb);
+            values.terms.push(("exposure".into(), map.strength()));
+        }
+        values.color_map = fitted;
+        self.mapped = mapped;
         if let Some(mask) = mask {
             values.mse /= mask::apply(mask, &mut grad.rgb).max(f64::MIN_POSITIVE);
         }
@@ -189,7 +210,13 @@ impl ImageLoss {
             // The exact place comes from the metric's own check.
             return Err(gs_metrics::mse(rendered, target).err().unwrap_or(MetricError::Overflow { metric: "L1" }));
         }
-        Ok(LossValues { total, l1, mse, terms: values.into_iter().map(|(name, v)| (name.into(), v.shown)).collect() })
+        Ok(LossValues {
+            total,
+            l1,
+            mse,
+            terms: values.into_iter().map(|(name, v)| (name.into(), v.shown)).collect(),
+            color_map: None,
+        })
     }
 
     /// Writes the gradient of L1 and the terms, each with its factor; gives mean absolute and mean squared difference.
@@ -338,7 +365,8 @@ mod tests {
         }
         let mut loss = plain(0.2).with_depth(0.5);
         let mut of = |image: &ImageU8, mask: Option<&Image>, frame: &Frame, grad: &mut FrameGrad| {
-            loss.evaluate(frame, &GroundTruth { image, background: [1.0; 3], mask, depth: None }, grad).unwrap()
+            loss.evaluate(frame, &GroundTruth { image, background: [1.0; 3], mask, depth: None, exposure: None }, grad)
+                .unwrap()
         };
         let (mut grad, mut again, mut whole) = Default::default();
         let values = of(&first, Some(&mask), &frame, &mut grad);
@@ -363,7 +391,8 @@ mod tests {
             assert!((f64::from(grad.rgb[3 * p]) - want).abs() < 1e-2 * want.abs() + 1e-7, "{} {want}", grad.rgb[3 * p]);
         }
         let small = Image::zeros(3, 3, 1);
-        let truth = GroundTruth { image: &first, background: [1.0; 3], mask: Some(&small), depth: None };
+        let truth =
+            GroundTruth { image: &first, background: [1.0; 3], mask: Some(&small), depth: None, exposure: None };
         let e = loss.evaluate(&frame, &truth, &mut grad).unwrap_err();
         assert!(matches!(e, MetricError::Shape { what: "rendered frame and mask", .. }), "{e}");
     }

@@ -3,7 +3,7 @@
 use crate::adam::Update;
 use crate::cameras::{CameraConfig, Cameras, KnownCamera};
 use crate::capabilities::{Capabilities, FreezeOptions, FreezeReport, Overlay, Quantity, StageView};
-use crate::loss::{ImageLoss, LossTerm};
+use crate::loss::{ExposureFit, Exposures, ImageLoss, LossTerm};
 use crate::method::{Method, MethodError};
 use crate::report::Section;
 use crate::schedule::Schedule;
@@ -22,6 +22,8 @@ pub struct Model {
     /// Terms of the image loss beside those of the schedule, with their weights.
     losses: Vec<(f32, Box<dyn LossTerm>)>,
     cameras: Cameras,
+    /// Maps to the colours of training images.
+    exposures: Exposures,
 }
 
 impl Model {
@@ -32,7 +34,8 @@ impl Model {
     pub fn new(name: &'static str, method: impl Method + 'static, schedule: Schedule) -> Result<Self, MethodError> {
         schedule.check()?;
         let (losses, cameras) = Default::default();
-        let mut model = Self { name, method: Box::new(method), schedule, losses, cameras };
+        let exposures = Exposures::default();
+        let mut model = Self { name, method: Box::new(method), schedule, losses, cameras, exposures };
         model.begin_step(0);
         Ok(model)
     }
@@ -71,6 +74,22 @@ impl Model {
     /// Whether corrections of cameras learn in a step.
     pub(crate) fn refines_cameras(&self, step: u32) -> bool {
         self.cameras.blocks().iter().any(|p| self.update(p, step, 1.0).is_some())
+    }
+
+    /// How frames are mapped to the colours of a training image in a step, if they are.
+    pub(crate) fn exposure(&self, step: u32, image: usize) -> Option<ExposureFit> {
+        let ridge = self.schedule.exposure.at(step, self.schedule.steps())?;
+        Some(ExposureFit { ridge, map: self.exposures.map(image) })
+    }
+
+    /// Maps to the colours of training images.
+    pub(crate) fn exposures(&self) -> &Exposures {
+        &self.exposures
+    }
+
+    /// The same, to be changed.
+    pub(crate) fn exposures_mut(&mut self) -> &mut Exposures {
+        &mut self.exposures
     }
 
     /// The image loss of the schedule and the terms of the method's own, which it takes from the model.
@@ -171,7 +190,8 @@ impl Model {
 
     fn with(&self, method: Box<dyn Method>) -> Self {
         let (schedule, cameras) = (self.schedule.clone(), self.cameras.clone());
-        Self { name: self.name, method, schedule, losses: Vec::new(), cameras }
+        let exposures = self.exposures.clone();
+        Self { name: self.name, method, schedule, losses: Vec::new(), cameras, exposures }
     }
 }
 

@@ -6,6 +6,7 @@
 
 use crate::cameras::KnownCamera;
 use crate::checkpoint::Checkpoint;
+use crate::loss::Exposures;
 use crate::method::{BufferMut, MethodError};
 use crate::model::Model;
 use crate::registry::Registry;
@@ -17,6 +18,9 @@ use gs_data::avatar::AvatarScene;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
+
+/// Name of the maps to the colours of training images.
+const EXPOSURES: &str = "exposures#";
 
 /// Largest number of steps of a run.
 const MAX_STEPS: u32 = 1 << 31;
@@ -121,6 +125,10 @@ fn tensors(model: &Model, moments: bool) -> Vec<(String, Vec<f32>)> {
         }
     });
     model.buffers(&mut |b| tensors.push((b.name.to_owned(), b.values.clone())));
+    let maps = model.exposures().values();
+    if moments && !maps.is_empty() {
+        tensors.push((EXPOSURES.to_owned(), maps.to_vec()));
+    }
     tensors
 }
 
@@ -178,6 +186,9 @@ pub fn load_with(
     let model = entry.model(&config, &scene).map_err(|e| e.to_string())?;
     let cameras = *model.cameras().config();
     let mut model = model.with_cameras(cameras, meta.corrected_cameras);
+    if let Ok(maps) = checkpoint.tensor(EXPOSURES) {
+        *model.exposures_mut() = Exposures::of(maps);
+    }
     restore(&mut model, &checkpoint.tensors)?;
     model.begin_step(meta.step);
     let (adam_updates, train_seconds) = (meta.adam_updates, meta.train_seconds);

@@ -6,7 +6,7 @@
 use crate::adam::{AdamOptions, Update};
 use crate::densify::DensifyRules;
 use crate::error::ScheduleError;
-use crate::loss::{Dssim, ImageLoss, SpectrumTerm};
+use crate::loss::{Dssim, ExposureConfig, ImageLoss, SpectrumTerm};
 use gs_core::{Camera, Param};
 use gs_metrics::spectrum::AmplitudeOptions;
 use gs_raster::{ClampGrad, RasterOptions};
@@ -50,6 +50,9 @@ pub struct Schedule {
     /// Weight of the distance to measured depth, where a view has it (ours; 0: depth maps are not read).
     #[serde(default)]
     pub lambda_depth: f32,
+    /// Exposures of the images (Kerbl et al. 2024; others: all alike).
+    #[serde(default)]
+    pub exposure: ExposureConfig,
     /// Adam updates only splats that received a gradient in this step.
     pub sparse_adam: bool,
     /// A gradient row is refused (not finite) at most for this share of rows; above it the run stops.
@@ -442,6 +445,7 @@ pub(crate) mod tests {
             lambda_fre: 0.0,
             fre: AmplitudeOptions::default(),
             lambda_depth: 0.0,
+            exposure: ExposureConfig::default(),
             sparse_adam: false,
             max_quarantine: 1e-3,
             density: DensifyRules::kerbl2023(),

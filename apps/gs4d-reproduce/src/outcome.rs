@@ -182,8 +182,14 @@ fn lpips(results: &[Results]) -> String {
     weights.map_or(String::new(), |w| format!("; LPIPS: {w}"))
 }
 
-fn columns(reproduction: &Reproduction) -> Vec<Column> {
-    reproduction.table.columns.iter().filter_map(|c| Column::named(c)).collect()
+/// The columns of the table, as they are measured on its own scenes or on generated ones.
+fn columns(reproduction: &Reproduction, generated: bool) -> Vec<Column> {
+    let columns = reproduction.table.columns.iter().filter_map(|c| Column::named(c));
+    columns.map(|c| if generated { c.on_generated() } else { c }).collect()
+}
+
+fn is_generated(chosen: &Chosen) -> bool {
+    matches!(chosen, Chosen::Generated(_))
 }
 
 fn scene(reproduction: &Reproduction, chosen: &Chosen, standings: &[Standing]) -> SceneOutcome {
@@ -192,12 +198,12 @@ fn scene(reproduction: &Reproduction, chosen: &Chosen, standings: &[Standing]) -
         Chosen::Published(scene, _) => table.published(scene, &entry.name, column),
         Chosen::Generated(_) => None,
     };
+    let generated = is_generated(chosen);
     let entries = table.runnable().zip(standings).map(|(entry, standing)| {
-        let values = columns(reproduction).into_iter().enumerate();
+        let values = columns(reproduction, generated).into_iter().enumerate();
         let values = values.map(|(k, c)| Value { published: published(entry, k), ours: standing.spread(c.of) });
         outcome(entry, standing, values.collect())
     });
-    let generated = matches!(chosen, Chosen::Generated(_));
     SceneOutcome { scene: chosen.name().to_owned(), generated, entries: entries.collect() }
 }
 
@@ -217,6 +223,7 @@ fn outcome(entry: &TableEntry, standing: &Standing, values: Vec<Value>) -> Entry
 /// Means over scenes of every seed that stands on all of them; their spread is that over seeds.
 fn average(reproduction: &Reproduction, results: &[Results]) -> SceneOutcome {
     let table = &reproduction.table;
+    let generated = reproduction.scenes.iter().all(is_generated);
     let entries = table.runnable().enumerate().map(|(k, entry)| {
         let standings: Vec<&Standing> = results.iter().filter_map(|r| r.standings.get(k)).collect();
         let everywhere = |seed: &&u64| standings.iter().all(|s| of_seed(s, **seed).is_some());
@@ -229,7 +236,7 @@ fn average(reproduction: &Reproduction, results: &[Results]) -> SceneOutcome {
             };
             Spread::of(&seeds.iter().filter_map(of).collect::<Vec<_>>())
         };
-        let values = columns(reproduction).into_iter().enumerate();
+        let values = columns(reproduction, generated).into_iter().enumerate();
         let published = |column| published_mean(reproduction, &entry.name, column);
         let values = values.map(|(c, column)| Value { published: published(c), ours: mean(column.of) }).collect();
         let plain = |score| mean(score).map(|s: Spread| s.mean);
@@ -243,7 +250,6 @@ fn average(reproduction: &Reproduction, results: &[Results]) -> SceneOutcome {
             seeds,
         }
     });
-    let generated = reproduction.scenes.iter().all(|s| matches!(s, Chosen::Generated(_)));
     SceneOutcome { scene: "mean over these scenes".to_owned(), generated, entries: entries.collect() }
 }
 
@@ -269,7 +275,8 @@ fn published_mean(reproduction: &Reproduction, entry: &str, column: usize) -> Op
 fn orders(reproduction: &Reproduction, results: &[Results]) -> Vec<Order> {
     let table = &reproduction.table;
     let names: Vec<&TableEntry> = table.runnable().collect();
-    let (Some(first), Some(column)) = (names.first(), columns(reproduction).into_iter().next()) else {
+    let generated = reproduction.scenes.iter().all(is_generated);
+    let (Some(first), Some(column)) = (names.first(), columns(reproduction, generated).into_iter().next()) else {
         return Vec::new();
     };
     let printed = |entry: &str| table.published_average(entry, 0);
@@ -333,11 +340,16 @@ fn not_run(reproduction: &Reproduction, results: &[Results]) -> Vec<NotRun> {
     let scenes = absent.iter().map(|s| row(s, format!("not below --data; from {}; {}", set.from, set.layout)));
     let entries = table.entries.iter().filter(|e| e.run.is_none());
     let entries = entries.map(|e| row(&e.name, "no method of gs4d".to_owned()));
+    let some_generated = reproduction.scenes.iter().any(is_generated);
     let measured = |column: &str| {
         let Some(column) = Column::named(column) else { return false };
+        let column = if some_generated { column.on_generated() } else { column };
         let trials = results.iter().flat_map(|r| &r.standings).flat_map(|s| &s.trials);
         trials.into_iter().any(|t| (column.of)(&t.scores).is_some())
     };
+    let masked = table.columns.iter().any(|c| Column::named(c).is_some_and(|c| c.is_masked()));
+    let why = "generated scenes have none: masked columns are of all pixels there";
+    let masks = (masked && some_generated).then(|| row("masks", why.to_owned()));
     let columns = table.columns.iter().filter(|c| !measured(c)).filter_map(|column| {
         let why = match column.as_str() {
             "lpips" | "masked_lpips" | "future_lpips" => {
@@ -352,7 +364,7 @@ fn not_run(reproduction: &Reproduction, results: &[Results]) -> Vec<NotRun> {
     let trials = trials.flat_map(|(r, s)| {
         r.missing.iter().map(move |m| row(&format!("{} / {}", s.name(), m.trial), m.source.to_string()))
     });
-    scenes.chain(entries).chain(columns).chain(trials).collect()
+    scenes.chain(entries).chain(masks).chain(columns).chain(trials).collect()
 }
 
 #[cfg(test)]

@@ -37,6 +37,8 @@ pub struct OpenRun {
     pub quantise: Quantise,
     /// Scores LPIPS as well.
     pub lpips: Option<Arc<Lpips>>,
+    /// Scores in the colours of the images as well.
+    pub fit_colors: bool,
     /// What was kept of the data, as JSON.
     kept: Option<Value>,
     /// Whether the folder of the data was given, instead of the one the run has kept.
@@ -96,8 +98,8 @@ impl OpenRun {
             .map_err(gs_train::trainer::TrainError::State)?;
         let Newest { path, skipped, .. } = newest;
         let (share, device, moved) = (Arc::default(), Device::default(), data.is_some());
-        let (quantise, lpips) = Default::default();
-        Ok(Self { folder, resolved, loaded, path, skipped, share, device, quantise, lpips, kept, moved })
+        let (quantise, lpips, fit_colors) = Default::default();
+        Ok(Self { folder, resolved, loaded, path, skipped, share, device, quantise, lpips, fit_colors, kept, moved })
     }
 
     /// The data set of the run.
@@ -155,6 +157,7 @@ impl OpenRun {
         Scoring {
             quantise: self.quantise,
             lpips: self.lpips.as_deref(),
+            fit_colors: self.fit_colors,
             ..Scoring::new(background, images, &self.share, &self.device)
         }
     }

@@ -77,6 +77,7 @@ mod tests {
             laplacian_ratio: None,
             high_band_ratio: None,
             masked: None,
+            fitted: None,
             camera: None,
         };
         EvalReport {
@@ -95,6 +96,7 @@ mod tests {
                 laplacian_ratio: None,
                 high_band_ratio: None,
                 masked: None,
+                fitted: None,
             },
             psnr_of_mean_mse: None,
             perfect_views: 0,

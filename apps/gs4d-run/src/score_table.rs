@@ -3,7 +3,7 @@
 use super::RunError;
 use super::summary::{ReportInput, color_name};
 use gs_data::{Dataset, ImageCache, Split, View};
-use gs_train::evaluate::{EvalReport, MaskedScores, RefinedCameras, ViewScores};
+use gs_train::evaluate::{EvalReport, FittedScores, MaskedScores, RefinedCameras, ViewScores};
 use gs_train::renderer::Renderer;
 use gs4d_report::Comparison;
 use std::collections::BTreeSet;
@@ -118,7 +118,8 @@ type Metric = (&'static str, usize, Option<f64>, fn(&ViewScores) -> Option<f64>,
 fn metric_rows(s: &EvalReport, of: &str) -> Vec<[String; 5]> {
     let (mean, masked) = (s.mean, s.mean.masked);
     let in_mask = |value: fn(&MaskedScores) -> Option<f64>| masked.as_ref().and_then(value);
-    let metrics: [Metric; 9] = [
+    let fitted = |value: fn(&FittedScores) -> Option<f64>| mean.fitted.as_ref().and_then(value);
+    let metrics: [Metric; 11] = [
         ("PSNR, dB: mean of views", 2, mean.psnr, |v| v.psnr, true),
         ("SSIM", 4, mean.ssim, |v| Some(v.ssim), true),
         ("MS-SSIM", 4, mean.ms_ssim, |v| v.ms_ssim, true),
@@ -127,6 +128,8 @@ fn metric_rows(s: &EvalReport, of: &str) -> Vec<[String; 5]> {
         ("sharpness: Laplacian over that of the truth", 3, mean.laplacian_ratio, |v| v.laplacian_ratio, true),
         ("sharpness: high frequencies over those of the truth", 3, mean.high_band_ratio, |v| v.high_band_ratio, true),
         ("masked PSNR, dB", 2, in_mask(|m| m.psnr), |v| v.masked?.psnr, true),
+        ("PSNR, dB, in the colours of the images", 2, fitted(|f| f.psnr), |v| v.fitted?.psnr, true),
+        ("SSIM, in the colours of the images", 4, fitted(|f| f.ssim), |v| v.fitted?.ssim, true),
         ("masked SSIM", 4, in_mask(|m| m.ssim), |v| v.masked?.ssim, true),
     ];
     let mut rows = Vec::new();
@@ -172,6 +175,7 @@ mod tests {
             ms_ssim: None,
             perceptual_proxy: proxy,
             lpips: None,
+            fitted: None,
             laplacian_ratio: None,
             high_band_ratio: None,
             masked: None,
@@ -190,6 +194,7 @@ mod tests {
                 ms_ssim: None,
                 perceptual_proxy: Some(0.2),
                 lpips: None,
+                fitted: None,
                 laplacian_ratio: None,
                 high_band_ratio: None,
                 masked: None,

@@ -35,7 +35,7 @@
 //! |---|---|---|---|
 //! | 3DGS `.ply` | yes | yes | exact, degree 0 to 3, all kernels |
 //! | `.splat` | yes | yes | degree 0, 8-bit colour and rotation, Gaussians only |
-//! | `.spz` 2, 3 | yes | yes | quantised, Gaussians only; 1, 4 and raw payloads are refused by name |
+//! | `.spz` 2, 3, 4 | yes | 2, 3 | quantised, Gaussians only; 1 and raw payloads are refused by name |
 //! | `.glb` | yes | yes | `KHR_gaussian_splatting`, exact, degree 0 to 3, Gaussians only |
 //! | `.ksplat`, compressed `.ply`, `.sog` | no | no | refused by name |
 //! | camera JSON | yes | yes | three layouts, see [`cameras`] |

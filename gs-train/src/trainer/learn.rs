@@ -19,6 +19,8 @@ struct Views<'a> {
     step: u32,
     /// Number of each view's draw, and the view.
     drawn: Vec<(u32, &'a View)>,
+    /// Where the views stand in the data set.
+    indices: Vec<usize>,
 }
 
 impl Views<'_> {
@@ -59,7 +61,8 @@ impl Trainer {
             let view = |draw| (self.order.view(self.model.schedule(), draw), draw);
             let mut drawn: Vec<(usize, u32)> = ((step - 1) * batch + 1..=step * batch).map(view).collect();
             drawn.sort_unstable();
-            Views { step, drawn: drawn.into_iter().map(|(view, draw)| (draw, &dataset.train[view])).collect() }
+            let indices = drawn.iter().map(|(view, _)| *view).collect();
+            Views { step, indices, drawn: drawn.into_iter().map(|(view, draw)| (draw, &dataset.train[view])).collect() }
         };
         let (views, next) = (views_of(step), views_of(step + 1));
         let (rank, ranks) = (self.ranks.rank(), self.ranks.size());
@@ -80,6 +83,11 @@ impl Trainer {
             _ => all_gather_results(&*self.ranks, mine).map(|(seen, parts)| (seen.concat(), parts))?,
         };
         self.check_views(&seen, &views)?;
+        for (view, index) in seen.iter().zip(&views.indices) {
+            if let Some(map) = view.terms.color_map {
+                self.model.exposures_mut().see(*index, &map, dataset.train.len());
+            }
+        }
         let (sum, own) = match ranks {
             1 => (parts.into_iter().next().unwrap_or_default(), None),
             _ => (self.exchange_sums(parts, &views, &sums)?, Some((rank, ranks))),
@@ -150,6 +158,7 @@ impl Trainer {
             camera: &camera,
             camera_grad: row.filter(|_| self.model.refines_cameras(views.step)).map(|_| Default::default()),
             options: schedule.raster_options(background),
+            exposure: self.model.exposure(views.step, views.indices[leaf]),
             share: 1.0 / views.drawn.len() as f32,
             result: ViewLoss::default(),
             data_error: None,

@@ -2,7 +2,7 @@
 
 use super::{TrainError, Trainer};
 use crate::device::Device;
-use crate::loss::{GroundTruth, ImageLoss, LossValues};
+use crate::loss::{ExposureFit, GroundTruth, ImageLoss, LossValues};
 use crate::method::{MethodError, RenderView};
 use crate::non_finite::{NonFinite, zero_non_finite};
 use gs_core::{Camera, Image, SplatsGrad, SplatsRef};
@@ -69,6 +69,8 @@ pub(super) struct ViewPass<'a> {
     pub camera_grad: Option<CameraGrad>,
     /// How to render, over the background of this view.
     pub options: RasterOptions,
+    /// How the frame is mapped to the colours of its image, where it is.
+    pub exposure: Option<ExposureFit>,
     /// Share of this view in the loss of the step.
     pub share: f32,
     pub result: ViewLoss,
@@ -126,7 +128,8 @@ impl RenderView for ViewPass<'_> {
             }
         };
         let background = self.options.background;
-        let truth = GroundTruth { image: &image, background, mask: mask.as_deref(), depth: depth.as_deref() };
+        let (mask, depth, exposure) = (mask.as_deref(), depth.as_deref(), self.exposure);
+        let truth = GroundTruth { image: &image, background, mask, depth, exposure };
         ms.data += clock.lap();
         rasterizer.render_into(splats, self.camera, &self.options, frame)?;
         ms.raster_forward += clock.lap();

@@ -52,6 +52,7 @@ use write_nerfies::with_lens;
 pub mod avatar;
 pub mod blur;
 pub mod body;
+pub mod gains;
 pub mod maps;
 mod mechanics;
 pub mod motion;

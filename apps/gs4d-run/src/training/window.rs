@@ -12,6 +12,7 @@ pub(super) struct Window {
     l1: f64,
     fre: f64,
     mrf: f64,
+    exposure: f64,
     mse: f64,
     ms: f64,
     pub(super) quarantined: u64,
@@ -27,6 +28,7 @@ impl Window {
         self.l1 += report.loss.l1;
         self.fre += report.loss.term("fre").unwrap_or(0.0);
         self.mrf += report.loss.term("mrf").unwrap_or(0.0);
+        self.exposure += report.loss.term("exposure").unwrap_or(0.0);
         self.mse += report.loss.mse;
         self.ms += report.ms.total;
         self.quarantined += u64::from(report.quarantined);
@@ -53,6 +55,7 @@ impl Window {
             "l1": self.mean(self.l1),
             "fre": report.loss.term("fre").map(|_| self.mean(self.fre)),
             "mrf": report.loss.term("mrf").map(|_| self.mean(self.mrf)),
+            "exposure": report.loss.term("exposure").map(|_| self.mean(self.exposure)),
             "psnr": self.psnr(),
             "penalties": report.penalties.iter().map(|(n, v)| (n.to_string(), json!(v))).collect::<serde_json::Map<_, _>>(),
             "splats": report.splats,

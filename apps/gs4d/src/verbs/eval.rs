@@ -69,6 +69,10 @@ pub struct Eval {
     /// papers after it do.
     #[arg(long, value_enum, default_value_t = RangeName::Signed, requires = "lpips")]
     lpips_range: RangeName,
+    /// Adds PSNR and SSIM of a run after the linear map of colours that brings each frame nearest to its image: for images that were not exposed alike. Runs
+    /// trained with schedule.exposure.fit always have them.
+    #[arg(long, conflicts_with = "pred")]
+    fit_colors: bool,
     #[command(flatten)]
     device: DeviceFlag,
     #[command(flatten)]
@@ -197,6 +201,7 @@ impl Eval {
         run.device = device;
         run.quantise = self.quantise.map_or(Quantise::None, Into::into);
         run.lpips = self.lpips()?.map(Arc::new);
+        run.fit_colors = self.fit_colors;
         let dataset = run.open_data()?;
         let background = self.background.unwrap_or_else(|| run.background());
         let split = self.split.into();

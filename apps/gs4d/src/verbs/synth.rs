@@ -4,6 +4,7 @@ use crate::answer::Answer;
 use crate::failure::Failure;
 use crate::global::Global;
 use gs_synth::blur::{Exposure, blur_training_views};
+use gs_synth::gains::{self, spread_exposures};
 use gs_synth::{self as synth, SCENES, SynthOptions};
 use serde_json::json;
 use std::path::PathBuf;
@@ -80,6 +81,9 @@ pub struct Synth {
     /// Radians the camera turns by while the shutter is open.
     #[arg(long, default_value_t = 0.0, requires = "exposure")]
     shake: f64,
+    /// Give every training view an exposure and a white balance of its own: standard deviation of the logarithm of its gains (0..1).
+    #[arg(long, value_name = "SPREAD")]
+    gains: Option<f64>,
     /// Write depth, masks and labels of every view, and the flow of a camera that stands still, to DIR/maps (.npy and .png;
     /// labels for `gs4d segment` in DIR/maps/labels); of the scene avatar depth, normals and positions to DIR/gt (.exr).
     #[arg(long)]
@@ -101,9 +105,11 @@ impl Synth {
             return Err(Failure::usage("no folder to write to").remedy(format!("gs4d synth {name} -o DIR")));
         };
         if name == avatar::NAME {
-            let of_scenes = self.cameras.is_some() || self.exposure.is_some() || self.variant != 0;
+            let of_scenes =
+                self.cameras.is_some() || self.exposure.is_some() || self.gains.is_some() || self.variant != 0;
             if of_scenes || self.lens || self.layout != Layout::Dnerf {
-                let what = "--cameras, --lens, --exposure, --variant and --layout are not for the scene avatar";
+                let what =
+                    "--cameras, --lens, --exposure, --gains, --variant and --layout are not for the scene avatar";
                 return Err(Failure::usage(what).remedy("choose its cameras with --cams, for example --cams 8x2"));
             }
             let Self { size, seed, truth, force, .. } = self;
@@ -120,7 +126,11 @@ impl Synth {
             Exposure { length, samples, linear, shake, seed: self.seed }
         });
         exposure.iter().try_for_each(Exposure::check)?;
+        self.gains.map_or(Ok(()), gains::check)?;
         let mut data = match self.layout {
+            Layout::Nerfies if self.gains.is_some() => {
+                return Err(Failure::usage("gains are for the layout dnerf").remedy("leave out --gains"));
+            }
             Layout::Nerfies if exposure.is_some() => {
                 return Err(Failure::usage("motion blur is for the layout dnerf").remedy("leave out --exposure"));
             }
@@ -129,6 +139,9 @@ impl Synth {
         };
         if let Some(exposure) = &exposure {
             blur_training_views(out, &mut data, exposure)?;
+        }
+        if let Some(spread) = self.gains {
+            spread_exposures(out, &mut data, spread, self.seed)?;
         }
         if self.truth {
             synth::write_maps(out, &data, self.truth_times, self.force)?;
@@ -146,7 +159,7 @@ impl Synth {
             out.display(),
             if self.truth { " and maps" } else { "" }
         );
-        let json = json!({"path": out.display().to_string(), "scene": name, "layout": layout, "options": options, "views": [train, val, test], "extrapolation_views": future, "exposure": exposure});
+        let json = json!({"path": out.display().to_string(), "scene": name, "layout": layout, "options": options, "views": [train, val, test], "extrapolation_views": future, "exposure": exposure, "gains": self.gains});
         Ok(Answer::new(text, json))
     }
 

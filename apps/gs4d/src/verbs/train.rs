@@ -242,12 +242,15 @@ pub fn all_scores_text(s: &EvalReport, step: u32) -> String {
     scores_text(s, step) + &future
 }
 
-/// The scores of a split in three lines, and a fourth where views have masks.
+/// The scores of a split in three lines, and one more each where colours were fitted and where views have masks.
 pub fn scores_text(s: &EvalReport, step: u32) -> String {
     let masked = s.mean.masked.map_or(String::new(), |m| {
         let [psnr, ssim, seen] = [number(m.psnr, 2), number(m.ssim, 4), number(m.ssim_seen, 4)];
         let (percent, proxy) = (100.0 * m.part, m.perceptual_proxy);
         format!("where masks count ({percent:.1} % of the pixels)   psnr {psnr}   ssim {ssim} ({seen} where seen)   perceptual-proxy {proxy:.4}\n")
+    });
+    let fitted = s.mean.fitted.map_or(String::new(), |f| {
+        format!("in the colours of the images   psnr {}   ssim {}\n", number(f.psnr, 2), number(f.ssim, 4))
     });
     let weights = s.lpips_weights.as_deref().unwrap_or_default();
     let lpips = s.mean.lpips.map_or(String::new(), |v| format!("lpips {v:.4} ({weights})   "));
@@ -255,7 +258,7 @@ pub fn scores_text(s: &EvalReport, step: u32) -> String {
     format!(
         "{} · {} views · background {} · step {step} · {} splats{seconds}\n\
          psnr {} (mean of views; {} from mean error)   ssim {}   ms-ssim {}   perceptual-proxy {}\n\
-         {lpips}sharpness against the ground truth   laplacian {}   high band {}\n{masked}",
+         {lpips}sharpness against the ground truth   laplacian {}   high band {}\n{fitted}{masked}",
         s.split,
         s.views.len(),
         color_name(s.background),

@@ -9,6 +9,7 @@ mod contest;
 mod device;
 mod doctor;
 mod export;
+mod exposure;
 mod faults;
 mod folders;
 mod future;

@@ -1,0 +1,215 @@
+//! Images of one scene with exposures and white balances of their own. Every image has a linear map of colours, as in Hierarchical 3D Gaussians (Kerbl et
+//! al. 2024), which learns affine ones by gradients. Here each is found by least squares whenever its image is drawn.
+//!
+//! ```text
+//! loss of image k:   E_k x against y          x: frame, y: image k, E_k constant
+//! then               E_k ← ½ (E_k + M_k)      M_k: the map from x to y (gs_metrics::ColorMap)
+//! and                E_j ← E_j Ē⁻¹            for all images j: their mean stays the identity
+//! ```
+//! The last line holds the colours of the scene: brighter splats and darker maps would give the same images. Saturated values of an image are met by anything
+//! above them.
+
+use gs_core::Image;
+use gs_metrics::color_map::SATURATED;
+use gs_metrics::{ColorMap, MetricError};
+use serde::{Deserialize, Serialize};
+
+/// Section `[schedule.exposure]` of a configuration.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ExposureConfig {
+    /// Whether frames are mapped to the colours of their image before they are compared.
+    pub fit: bool,
+    /// Share of the run after which they are.
+    pub after: f64,
+    /// What holds the maps near the identity ([`ColorMap::fit`]), above 0.
+    pub ridge: f64,
+}
+
+impl Default for ExposureConfig {
+    /// Frames are compared as they are.
+    fn default() -> Self {
+        Self { fit: false, after: 0.0, ridge: 1.0 }
+    }
+}
+
+impl ExposureConfig {
+    /// The ridge of the maps in a step, from 1, of so many; none where frames are compared as they are.
+    pub(crate) fn at(&self, step: u32, steps: u32) -> Option<f64> {
+        let share = f64::from(step.saturating_sub(1)) / f64::from(steps.max(1));
+        (self.fit && share >= self.after).then_some(self.ridge)
+    }
+}
+
+/// How a frame is mapped to the colours of its image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ExposureFit {
+    /// The map of the image.
+    pub map: ColorMap,
+    /// What holds the map that is fitted anew near the identity.
+    pub ridge: f64,
+}
+
+impl ExposureFit {
+    /// Writes `rendered` in the colours of `target` to `mapped`; gives the map that fits best.
+    pub(super) fn apply(
+        &self,
+        rendered: &Image,
+        target: &Image,
+        mask: Option<&Image>,
+        mapped: &mut Image,
+    ) -> Result<ColorMap, MetricError> {
+        mapped.clone_from(rendered);
+        self.map.apply(mapped);
+        let pairs = mapped.data.iter_mut().zip(&target.data);
+        pairs.filter(|(v, y)| **y >= SATURATED && **v > **y).for_each(|(v, y)| *v = *y);
+        ColorMap::fit(rendered, target, mask, self.ridge)
+    }
+}
+
+/// Share of a new map in that of its image.
+const NEW: f64 = 0.5;
+
+/// The maps of all training images, row by row; empty before the first was fitted.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Exposures(Vec<[f32; 9]>);
+
+impl Exposures {
+    /// From the values of a checkpoint.
+    pub(crate) fn of(values: &[f32]) -> Self {
+        Self(values.as_chunks().0.to_vec())
+    }
+
+    /// For a checkpoint.
+    pub(crate) fn values(&self) -> &[f32] {
+        self.0.as_flattened()
+    }
+
+    /// The map of an image.
+    pub(crate) fn map(&self, image: usize) -> ColorMap {
+        self.0.get(image).map_or(ColorMap::IDENTITY, map_of)
+    }
+
+    /// Another map was fitted to an image, of so many. Of another number than before, all are fitted anew.
+    pub(crate) fn see(&mut self, image: usize, map: &ColorMap, images: usize) {
+        if self.0.len() != images {
+            self.0 = vec![rows_of(&ColorMap::IDENTITY); images];
+        }
+        self.0[image] = rows_of(&self.map(image).blend(map, NEW));
+        let mean = |k: usize| self.0.iter().map(|map| f64::from(map[k])).sum::<f64>() / images as f64;
+        let mean = ColorMap { matrix: std::array::from_fn(|row| std::array::from_fn(|c| mean(3 * row + c))) };
+        if let Some(undo) = mean.inverse() {
+            self.0.iter_mut().for_each(|map| *map = rows_of(&map_of(map).after(&undo)));
+        }
+    }
+}
+
+fn map_of(rows: &[f32; 9]) -> ColorMap {
+    ColorMap { matrix: std::array::from_fn(|row| std::array::from_fn(|c| f64::from(rows[3 * row + c]))) }
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "colours are single precision")]
+fn rows_of(map: &ColorMap) -> [f32; 9] {
+    std::array::from_fn(|k| map.matrix.as_flattened()[k] as f32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::loss::{Dssim, GroundTruth, ImageLoss};
+    use gs_core::Rng;
+    use gs_data::ImageU8;
+    use gs_raster::{Frame, FrameGrad};
+
+    const SIZE: [usize; 2] = [40, 30];
+
+    /// A smooth frame, and its image in other colours.
+    fn pair() -> (Frame, ImageU8) {
+        let [width, height] = SIZE;
+        let mut rng = Rng::new(3, "exposure", 0, 0);
+        let waves: Vec<[f32; 4]> = (0..9).map(|_| [0; 4].map(|_| rng.range(0.2, 0.6))).collect();
+        let color = |x: usize, y: usize, c: usize| {
+            let wave = |w: &[f32; 4]| (w[0] * x as f32 + w[1] * y as f32 + 9.0 * w[2]).sin() * w[3];
+            0.5 + 0.3 * waves[3 * c..3 * c + 3].iter().map(wave).sum::<f32>()
+        };
+        let pixels = (0..width * height).map(|p| std::array::from_fn(|c| color(p % width, p / width, c)));
+        let colors: Vec<[f32; 3]> = pixels.collect();
+        let shot = |v: f32, c: usize| (255.0 * (0.8 + 0.05 * c as f32) * v).round().clamp(0.0, 255.0) as u8;
+        let image = colors.iter().flat_map(|p| [shot(p[0], 0), shot(p[1], 1), shot(p[2], 2), 255]).collect();
+        let rgb = Image { width, height, channels: 3, data: colors.into_iter().flatten().collect() };
+        let (alpha, depth) = (vec![1.0; width * height], vec![2.0; width * height]);
+        (Frame { rgb, alpha, depth }, ImageU8 { width, height, data: image })
+    }
+
+    fn truth<'a>(image: &'a ImageU8, mask: Option<&'a Image>, map: Option<ColorMap>) -> GroundTruth<'a> {
+        let exposure = map.map(|map| ExposureFit { map, ridge: 1e-6 });
+        GroundTruth { image, background: [0.0; 3], mask, depth: None, exposure }
+    }
+
+    #[test]
+    fn another_exposure_is_no_error_once_its_map_is_known() {
+        let ((frame, image), mut grad) = (pair(), FrameGrad::default());
+        let mut loss = ImageLoss::new(0.8).with(0.2, Dssim::Ssim.term());
+        let mut of = |map| loss.evaluate(&frame, &truth(&image, None, map), &mut grad).unwrap();
+        let (plain, first) = (of(None), of(Some(ColorMap::IDENTITY)));
+        assert_eq!((first.l1, first.term("exposure"), plain.color_map), (plain.l1, Some(0.0), None));
+        let fitted = of(first.color_map);
+        assert!(plain.l1 > 0.06 && fitted.l1 < 2e-3, "{} {}", plain.l1, fitted.l1);
+        assert!(fitted.term("exposure").unwrap() > 0.05);
+    }
+
+    /// The map is constant where the loss goes back.
+    #[test]
+    fn gradients_match_finite_differences_with_the_map_held() {
+        let ((mut frame, image), mut grad) = (pair(), FrameGrad::default());
+        let mut rng = Rng::new(4, "exposure", 0, 0);
+        frame.rgb.data.iter_mut().for_each(|v| *v += rng.range(-0.1, 0.1));
+        let [width, height] = SIZE;
+        let inside = |p: usize| f32::from(u8::from(p % width < 25));
+        let mask = Image { width, height, channels: 1, data: (0..width * height).map(inside).collect() };
+        let mut loss = ImageLoss::new(0.8).with(0.2, Dssim::Ssim.term());
+        for mask in [None, Some(&mask)] {
+            let map = ColorMap { matrix: [[0.8, 0.1, 0.0], [0.0, 0.9, -0.1], [0.05, 0.0, 0.7]] };
+            loss.evaluate(&frame, &truth(&image, mask, Some(map)), &mut grad).unwrap();
+            for at in [3 * (7 * width + 11), 3 * (20 * width + 3) + 2, 3 * (9 * width + 33) + 1] {
+                let h = 1e-3;
+                let mut value = |by: f32| {
+                    let mut moved = frame.clone();
+                    moved.rgb.data[at] += by;
+                    map.apply(&mut moved.rgb);
+                    loss.evaluate(&moved, &truth(&image, mask, None), &mut FrameGrad::default()).unwrap().total
+                };
+                let want = (value(h) - value(-h)) / f64::from(2.0 * h);
+                let got = f64::from(grad.rgb[at]);
+                assert!((got - want).abs() < 2e-2 * want.abs() + 3e-7, "value {at}: {got} {want}");
+            }
+        }
+    }
+
+    /// Whatever all maps have in common is the scene's to learn.
+    #[test]
+    fn the_mean_of_the_maps_stays_the_identity() {
+        let gain = |g: f64| ColorMap { matrix: [[g, 0.0, 0.0], [0.0, g, 0.1 * g], [0.0, 0.0, 0.5 * g]] };
+        let mut exposures = Exposures::default();
+        for _ in 0..30 {
+            (0..4).for_each(|image| exposures.see(image, &gain(1.0 + 0.2 * image as f64), 4));
+        }
+        let maps = [0, 1, 2, 3].map(|image| exposures.map(image));
+        for (row, c) in (0..9).map(|k| (k / 3, k % 3)) {
+            let mean = maps.iter().map(|map| map.matrix[row][c]).sum::<f64>() / 4.0;
+            assert!((mean - ColorMap::IDENTITY.matrix[row][c]).abs() < 1e-6, "{mean}");
+            let want = [1.0, 1.2, 1.4, 1.6].map(|g| g / 1.3 * ColorMap::IDENTITY.matrix[row][c]);
+            assert!(maps.iter().zip(want).all(|(map, want)| (map.matrix[row][c] - want).abs() < 0.02), "{maps:?}");
+        }
+        assert_eq!(Exposures::of(exposures.values()).map(2), maps[2]);
+        assert_eq!(Exposures::default().map(7), ColorMap::IDENTITY);
+    }
+
+    #[test]
+    fn maps_begin_after_their_share_of_the_run() {
+        let config = ExposureConfig { fit: true, after: 0.1, ridge: 1e-3 };
+        assert_eq!([1, 100, 101, 1000].map(|step| config.at(step, 1000)), [None, None, Some(1e-3), Some(1e-3)]);
+        assert_eq!(ExposureConfig::default().at(1000, 1000), None);
+        assert_eq!(ExposureConfig { after: 0.0, ..config }.at(1, 1000), Some(1e-3));
+    }
+}

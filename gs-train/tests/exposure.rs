@@ -1,0 +1,98 @@
+//! Images that were not exposed alike: the scene keeps the colours that are right for most, and the mean map is state like any other.
+
+use gs_data::{Dataset, ImageCache, ImageSource, Split};
+use gs_synth::SynthOptions;
+use gs_synth::gains::{exposed, gains_of};
+use gs_train::evaluate::{EvalReport, Scoring, evaluate_with};
+use gs_train::testkit::{on_ranks, run, start, thread_difference};
+use gs_train::trainer::Trainer;
+use std::sync::Arc;
+
+const FIT: &str = "schedule.exposure.fit = true";
+const MAPS: &str = "exposures#";
+const BLACK: &str = "schedule.background = \"black\"";
+
+fn scene(name: &str, size: u32, views: u32) -> Arc<Dataset> {
+    let options = SynthOptions { supersample: 4, ..SynthOptions::of_views(size, views, 6) };
+    Arc::new(gs_synth::generate(name, &options).expect("scene").dataset)
+}
+
+/// The same with gains of its own for every training image; their mean is 1.
+fn unequal(data: &Dataset, seed: u64) -> Arc<Dataset> {
+    let (mut unequal, images) = (data.clone(), ImageCache::new(0, 1.0));
+    let gains: Vec<[f64; 3]> = (0..data.train.len() as u64).map(|k| gains_of(0.25, seed, k)).collect();
+    let mean: [f64; 3] = std::array::from_fn(|c| gains.iter().map(|g| g[c]).sum::<f64>() / gains.len() as f64);
+    for (gains, view) in gains.iter().zip(&mut unequal.train) {
+        let image = exposed(&images.get(view).expect("image"), std::array::from_fn(|c| gains[c] / mean[c]));
+        view.image = ImageSource::Memory(Arc::new(image));
+    }
+    Arc::new(unequal)
+}
+
+fn train(data: &Arc<Dataset>, over: &[&str]) -> EvalReport {
+    let registry = gs_methods::registry();
+    let over = [&["schedule.stages.all.steps = 600", BLACK], over].concat();
+    let config = gs_train::testkit::config(registry, "static3d", "tiny", &over);
+    let mut trainer = start(registry, data, "static3d", &config, 0);
+    let steps = trainer.steps();
+    run(&mut trainer, steps);
+    let (images, share, device) = (ImageCache::new(64 << 20, 1.0), Default::default(), Default::default());
+    let model = trainer.model();
+    let scoring = Scoring { fit_colors: true, ..Scoring::new(model.background(), &images, &share, &device) };
+    evaluate_with(model, data, Split::Test, &scoring).expect("scores")
+}
+
+#[test]
+fn images_of_unequal_exposure_teach_one_scene() {
+    let equal = scene("static", 64, 40);
+    let unequal = unequal(&equal, 1);
+    let [right, plain, fit] = [train(&equal, &[]), train(&unequal, &[]), train(&unequal, &[FIT])];
+    let own = |report: &EvalReport| report.mean.psnr.expect("finite");
+    let fitted = |report: &EvalReport| report.mean.fitted.expect("asked for").psnr.expect("finite");
+    for (name, report) in [("equal", &right), ("unequal", &plain), ("fit", &fit)] {
+        println!("{name}: {:.2} dB, {:.2} dB in the colours of the images", own(report), fitted(report));
+    }
+    for score in [own, fitted] {
+        let (right, plain, fit) = (score(&right), score(&plain), score(&fit));
+        assert!(fit > plain + 0.5 * (right - plain), "half of what was lost is back: {right} {plain} {fit}");
+    }
+    assert!(right.protocol.contains("fitted: after the linear map"), "{}", right.protocol);
+}
+
+/// The state of a run, but for the clock on the wall.
+fn state(trainer: &Trainer) -> gs_train::checkpoint::Checkpoint {
+    let mut state = trainer.state();
+    state.meta["train_seconds"] = 0.into();
+    state
+}
+
+#[test]
+fn maps_are_the_same_bits_for_any_threads_and_ranks_and_after_a_resume() {
+    let data = unequal(&scene("balls", 32, 7), 2);
+    let registry = gs_methods::registry();
+    let config = gs_train::testkit::short(registry, "fourdgs", &[FIT, BLACK, "schedule.batch = 3"]);
+    let begin = || start(registry, &data, "fourdgs", &config, 3);
+    assert_eq!(thread_difference(begin, 40), 0.0);
+    let mut whole = begin();
+    run(&mut whole, 20);
+    let half = whole.state();
+    run(&mut whole, 20);
+    let end = state(&whole);
+    assert_ne!(end.tensor(MAPS).expect("maps"), half.tensor(MAPS).expect("maps"));
+    let mut resumed = Trainer::resume(registry, data.clone(), &half, None, 1 << 20).expect("resume");
+    run(&mut resumed, 20);
+    assert!(state(&resumed) == end, "resumed");
+    for ranks in [2, 3] {
+        let ended = on_ranks(registry, &data, begin(), ranks, |mut trainer| {
+            run(&mut trainer, 40);
+            trainer.gather().expect("state");
+            state(&trainer)
+        });
+        assert!(ended == end, "{ranks} ranks");
+    }
+    // Nothing is kept where nothing is fitted.
+    let plain = gs_train::testkit::short(registry, "fourdgs", &[BLACK]);
+    let mut plain = start(registry, &data, "fourdgs", &plain, 3);
+    run(&mut plain, 5);
+    assert!(plain.state().tensor(MAPS).is_err());
+}
