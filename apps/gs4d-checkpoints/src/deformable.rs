@@ -10,7 +10,7 @@ const METHOD: &str = "defgs";
 const POSITION: usize = 63;
 
 pub(crate) fn scene(file: &Exported<'_>) -> Result<Scene, CheckpointError> {
-    if file.flag("is_6dof")? {
+    if file.has("deform.branch_w.weight") || file.flag_or("is_6dof", false)? {
         let what = "the screw motion (is_6dof)".to_owned();
         return Err(CheckpointError::Unsupported { code: CODE, what, method: METHOD });
     }

@@ -93,6 +93,11 @@ impl<'a> Exported<'a> {
         self.args[name].as_bool().ok_or(CheckpointError::Setting(name))
     }
 
+    /// A switch that earlier versions of a code do not have.
+    pub(crate) fn flag_or(&self, name: &'static str, absent: bool) -> Result<bool, CheckpointError> {
+        if self.args[name].is_null() { Ok(absent) } else { self.flag(name) }
+    }
+
     pub(crate) fn number(&self, name: &'static str) -> Result<f64, CheckpointError> {
         self.args[name].as_f64().ok_or(CheckpointError::Setting(name))
     }

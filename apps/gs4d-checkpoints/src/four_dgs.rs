@@ -91,19 +91,22 @@ fn refuse(file: &Exported<'_>) -> Result<(), CheckpointError> {
         ("static_mlp", "the network of static points (static_mlp)"),
         ("apply_rotation", "the product of quaternions (apply_rotation)"),
     ] {
-        if file.flag(switch)? {
+        if file.flag_or(switch, false)? {
             return unsupported(what);
         }
     }
-    for (switch, what) in [
-        ("no_do", "opacity that changes with time (no_do=False)"),
-        ("no_dshs", "colour that changes with time (no_dshs=False)"),
+    for (switch, head, what) in [
+        ("no_do", "opacity_deform", "opacity that changes with time (no_do=False)"),
+        ("no_dshs", "shs_deform", "colour that changes with time (no_dshs=False)"),
     ] {
-        if !file.flag(switch)? {
+        // A head without a switch is of a version that always has it.
+        let has = file.has(&format!("{NET}.{head}.1.weight"));
+        if has && !file.flag(switch)? {
             return unsupported(what);
         }
     }
-    if file.number("grid_pe")? != 0.0 { unsupported("the encoding of features (grid_pe)") } else { Ok(()) }
+    let encodes = !file.setting("grid_pe").is_null() && file.number("grid_pe")? != 0.0;
+    if encodes { unsupported("the encoding of features (grid_pe)") } else { Ok(()) }
 }
 
 /// Sizes of the planes.

@@ -12,6 +12,9 @@ use gs_deform::encode::hash::level::Level;
 
 const PRIMES: [u32; 2] = [2_654_435_761, 805_459_861];
 
+/// Most nodes along an axis that are told apart from more.
+const MOST_NODES: f32 = 1e6;
+
 /// A level as the code's kernel addresses it.
 struct Foreign {
     res: [u64; 3],
@@ -36,11 +39,14 @@ impl Foreign {
 
 /// The table of the encoder `name` in the order of a grid of gs4d of the same settings, `[entries, 2]`.
 pub(crate) fn table(file: &Exported<'_>, name: &str, config: &HashGridConfig) -> Result<Vec<f32>, CheckpointError> {
-    let setting = |_| CheckpointError::Setting("grid_args");
-    let grid = HashGrid::new(name, config, 0).map_err(setting)?;
     let foreign = levels(file, name, config.levels)?;
     let rows = foreign.last().map_or(0, |l| l.first + l.entries);
     let values = file.values(&format!("{name}.embeddings"), &[rows, 2])?;
+    // What the settings ask for is in the file, before memory is taken for it.
+    if config.param_count() > values.len() as u64 {
+        return Err(misshapen(&format!("{name}.embeddings"), &[rows, 2], format!("{} values", config.param_count())));
+    }
+    let grid = HashGrid::new(name, config, 0).map_err(|_| CheckpointError::Setting("grid_args"))?;
     let mut out = Vec::with_capacity(grid.table().len());
     for (own, level) in grid.levels().iter().zip(&foreign) {
         let rows = &values.as_chunks::<2>().0[level.first..][..level.entries];
@@ -69,9 +75,9 @@ fn levels(file: &Exported<'_>, name: &str, count: usize) -> Result<Vec<Foreign>,
     if !rising {
         return Err(wrong());
     }
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked above, and sizes below 2^32")]
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked above, and sizes are clamped")]
     let level = |(l, w): (usize, &[f32])| {
-        let size = |d: usize| (((l as f32) * growth[d].log2()).exp2() * base[d] - 1.0).ceil().max(0.0);
+        let size = |d: usize| (((l as f32) * growth[d].log2()).exp2() * base[d] - 1.0).ceil().clamp(0.0, MOST_NODES);
         Foreign {
             res: std::array::from_fn(|d| size(d) as u64 + 1),
             first: w[0] as usize,

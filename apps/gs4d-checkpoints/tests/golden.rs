@@ -199,6 +199,18 @@ fn what_gs4d_does_not_have_is_refused_by_name() {
         let error = error(&with(name, from, to)).to_string();
         assert!(error.contains(said) && error.contains("no counterpart"), "{error}");
     }
+    // Switches that earlier versions do not have.
+    for (name, from) in [
+        ("4dgaussians", "\"static_mlp\": false, "),
+        ("4dgaussians", "\"grid_pe\": 0, "),
+        ("deformable", ", \"is_6dof\": false"),
+    ] {
+        assert!(Scene::read(&with(name, from, "")).is_ok(), "{name}: {from}");
+    }
+    assert_eq!(error(&with("4dgaussians", "\"no_do\": true, ", "")), CheckpointError::Setting("no_do"));
+    // A table that the file does not hold is not made.
+    let larger = with("grid4d", "\"canonical_log2_hashmap_size\": 9", "\"canonical_log2_hashmap_size\": 27");
+    assert!(matches!(error(&larger), CheckpointError::Shape { .. }));
     let longer = with("grid4d", "\"canonical_num_levels\": 5", "\"canonical_num_levels\": 6");
     assert!(matches!(error(&longer), CheckpointError::Shape { .. }));
     assert_eq!(error(&with("scaffold", "\"use_feat_bank\"", "\"other\"")), CheckpointError::Setting("use_feat_bank"));
@@ -238,8 +250,17 @@ fn damaged_files_do_not_panic() {
             drop(Scene::read(&bytes[..k]));
         }
         let file = SafeTensors::deserialize(&bytes).unwrap();
-        for (tensor, _) in file.iter() {
+        for (tensor, view) in file.iter() {
             drop(Scene::read(&altered(name, tensor, |_| {})));
+            // Other values of the same shape.
+            let at = view.data().as_ptr() as usize - bytes.as_ptr() as usize;
+            for value in [f32::NAN, f32::INFINITY, -1e30, 1e9] {
+                let mut other = bytes.clone();
+                other[at..at + view.data().len()]
+                    .chunks_exact_mut(4)
+                    .for_each(|b| b.copy_from_slice(&value.to_le_bytes()));
+                drop(Scene::read(&other));
+            }
         }
     }
 }
