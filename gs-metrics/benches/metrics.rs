@@ -12,7 +12,7 @@ use criterion::Criterion;
 use fourier::amplitude_loss64;
 use gs_core::speed::{BenchRow, median_seconds};
 use gs_core::{Image, Rng};
-use gs_metrics::{AmplitudeLoss, MsSsim, MsSsimOptions, Padding, Ssim, SsimOptions, mse, perceptual_proxy};
+use gs_metrics::{AmplitudeLoss, ColorMap, MsSsim, MsSsimOptions, Padding, Ssim, SsimOptions, mse, perceptual_proxy};
 use reference::{Image64, mean_ssim64, relative_l2, ssim_grad64};
 
 /// The columns of a row other than its time.
@@ -81,6 +81,17 @@ fn other_rows(criterion: &mut Criterion, a: &Image, b: &Image) {
     let error = Some((mse(a, b).expect("a score") / want - 1.0).abs());
     measure(criterion, &Row { case: "mse", variant: "f64 sums", side, error, error_kind: "relative" }, || {
         black_box(mse(a, b).expect("a score"));
+    });
+    let warm = ColorMap { matrix: [[1.2, 0.05, 0.0], [0.02, 1.0, -0.03], [0.0, 0.1, 0.8]] };
+    let mut warmer = a.clone();
+    warm.apply(&mut warmer);
+    warmer.data.iter_mut().for_each(|v| *v = v.min(1.0));
+    let found = ColorMap::fit(a, &warmer, None, 1e-9).expect("a map");
+    let entries = found.matrix.as_flattened().iter().zip(warm.matrix.as_flattened());
+    let error = Some(entries.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max));
+    let row = Row { case: "colour map", variant: "fit", side, error, error_kind: "entry, absolute" };
+    measure(criterion, &row, || {
+        black_box(ColorMap::fit(a, b, None, 1e-3).expect("a map"));
     });
     let mut ms = MsSsim::new(MsSsimOptions::default());
     let mut grad = Image::default();

@@ -8,7 +8,7 @@ use gs_synth::SynthOptions;
 use gs_train::evaluate::{EvalReport, evaluate};
 use gs_train::registry::overlay;
 use gs_train::saved;
-use gs_train::testkit::{on_ranks, run, start, thread_difference};
+use gs_train::testkit::{on_ranks, run, start, thread_difference, timeless};
 use gs_train::trainer::Trainer;
 use std::sync::Arc;
 
@@ -120,13 +120,6 @@ fn disturbed_cameras_are_found_again() {
     assert!(refined.scores.views.iter().all(|v| v.camera.is_some()) && right.scores.cameras.is_none());
 }
 
-/// The state of a run, but for the clock on the wall.
-fn state(trainer: &Trainer) -> gs_train::checkpoint::Checkpoint {
-    let mut state = trainer.state();
-    state.meta["train_seconds"] = 0.into();
-    state
-}
-
 /// Short runs with all kinds of corrections, of a cloud and of anchors.
 fn short(method: &str) -> toml::Table {
     let over = [REFINE, "cameras.focal = true", "schedule.batch = 3"];
@@ -144,18 +137,18 @@ fn corrections_are_the_same_bits_for_any_threads_and_ranks_and_after_a_resume() 
         run(&mut whole, 20);
         let half = whole.state();
         run(&mut whole, 20);
-        let end = state(&whole);
+        let end = timeless(whole.state());
         for block in ["cameras.turn", "cameras.shift", "cameras.focal"] {
             assert!(end.tensor(block).expect("kept").iter().any(|v| *v != 0.0), "{method}: {block} learns");
         }
         let mut resumed = Trainer::resume(registry, data.clone(), &half, None, 1 << 20).expect("resume");
         run(&mut resumed, 20);
-        assert!(state(&resumed) == end, "{method}: resumed");
+        assert!(timeless(resumed.state()) == end, "{method}: resumed");
         for ranks in [2, 3] {
             let ended = on_ranks(registry, &data, begin(), ranks, |mut trainer| {
                 run(&mut trainer, 40);
                 trainer.gather().expect("state");
-                state(&trainer)
+                timeless(trainer.state())
             });
             assert!(ended == end, "{method}: {ranks} ranks");
         }

@@ -11,6 +11,7 @@ use gs_train::checkpoint::Checkpoint;
 use gs_train::conformance;
 use gs_train::evaluate::evaluate;
 use gs_train::registry::{Registry, overlay};
+use gs_train::testkit::timeless;
 use gs_train::trainer::{TrainOptions, Trainer};
 use gs4d_report::Report;
 use std::sync::Arc;
@@ -40,12 +41,6 @@ fn held_out_psnr(trainer: &Trainer, data: &Dataset) -> f64 {
     let images = ImageCache::new(64 << 20, 1.0);
     let report = evaluate(trainer.model(), data, Split::Test, trainer.model().background(), &images).expect("scores");
     report.mean.psnr.expect("finite scores")
-}
-
-/// Everything but the time spent.
-fn timeless(mut state: Checkpoint) -> Checkpoint {
-    state.meta["train_seconds"] = 0.into();
-    state
 }
 
 /// Eight cameras at rest film 12 moments at 48 × 48 pixels; two more are held out. After 600 steps their mean PSNR is 27.20 dB,

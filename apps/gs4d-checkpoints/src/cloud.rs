@@ -1,17 +1,9 @@
 //! The canonical cloud of a checkpoint: the columns of `point_cloud.ply`, whose logarithms and logits are those of gs4d.
 
-use crate::CheckpointError;
 use crate::file::{Exported, misshapen};
+use crate::{CheckpointError, Scene};
 use glam::Vec3;
 use toml::Value;
-
-/// The cloud of an exported file.
-pub(crate) struct CloudPart {
-    pub(crate) rows: usize,
-    pub(crate) tensors: Vec<(String, Vec<f32>)>,
-    pub(crate) settings: Vec<(String, Value)>,
-    pub(crate) bounds: [Vec3; 2],
-}
 
 /// One setting.
 pub(crate) fn set(key: &str, value: impl Into<Value>) -> (String, Value) {
@@ -44,8 +36,8 @@ pub(crate) fn box_around(positions: &[f32]) -> [Vec3; 2] {
     points.fold([Vec3::INFINITY, Vec3::NEG_INFINITY], |[lo, hi], p| [lo.min(p), hi.max(p)])
 }
 
-/// Means, rotations, scales, opacities and SH of a file.
-pub(crate) fn cloud(file: &Exported<'_>) -> Result<CloudPart, CheckpointError> {
+/// The canonical cloud of a file as a scene of `method`, whose field is still to come.
+pub(crate) fn cloud(file: &Exported<'_>, code: &'static str, method: &'static str) -> Result<Scene, CheckpointError> {
     let rows = file.points()?;
     let rest = file.names("ply.f_rest_");
     let degree = match rest {
@@ -75,7 +67,8 @@ pub(crate) fn cloud(file: &Exported<'_>) -> Result<CloudPart, CheckpointError> {
         set("schedule.density.max_splats", whole(rows)),
         background(file)?,
     ];
-    Ok(CloudPart { rows, tensors, settings, bounds })
+    let (iteration, notes) = (file.iteration()?, Vec::new());
+    Ok(Scene { code, iteration, method, rows, settings, tensors, bounds, notes })
 }
 
 /// Weight and bias of a linear layer under another name.

@@ -14,8 +14,8 @@ pub(crate) fn scene(file: &Exported<'_>) -> Result<Scene, CheckpointError> {
         let what = "the screw motion (is_6dof)".to_owned();
         return Err(CheckpointError::Unsupported { code: CODE, what, method: METHOD });
     }
-    let part = cloud(file)?;
-    let (mut settings, mut tensors) = (part.settings, part.tensors);
+    let mut scene = cloud(file, CODE, METHOD)?;
+    let Scene { settings, tensors, .. } = &mut scene;
     let first = "deform.linear.0.weight";
     let [width, inputs] = file.matrix(first)?;
     let depth = (0..).take_while(|k| file.has(&format!("deform.linear.{k}.weight"))).count();
@@ -55,14 +55,5 @@ pub(crate) fn scene(file: &Exported<'_>) -> Result<Scene, CheckpointError> {
         set("field.skip", whole(skip)),
         set("field.bands_time", whole((encoded - 1) / 2)),
     ]);
-    Ok(Scene {
-        code: CODE,
-        iteration: file.iteration()?,
-        method: METHOD,
-        rows: part.rows,
-        settings,
-        tensors,
-        bounds: part.bounds,
-        notes: Vec::new(),
-    })
+    Ok(scene)
 }

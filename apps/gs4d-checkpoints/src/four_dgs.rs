@@ -25,8 +25,8 @@ const LANES: usize = 16;
 
 pub(crate) fn scene(file: &Exported<'_>) -> Result<Scene, CheckpointError> {
     refuse(file)?;
-    let part = cloud(file)?;
-    let (mut settings, mut tensors) = (part.settings, part.tensors);
+    let mut scene = cloud(file, CODE, METHOD)?;
+    let Scene { settings, tensors, .. } = &mut scene;
     let Planes { nodes, channels } = Planes::of(file)?;
     let base = nodes[0];
     let factors: Vec<usize> = nodes.iter().map(|n| n[0] / base[0]).collect();
@@ -69,16 +69,7 @@ pub(crate) fn scene(file: &Exported<'_>) -> Result<Scene, CheckpointError> {
         set_list("field.hexplane.levels", &factors.iter().map(|f| whole(*f)).collect::<Vec<_>>()),
         set_list("field.hexplane.resolution", &base.map(whole)),
     ]);
-    Ok(Scene {
-        code: CODE,
-        iteration: file.iteration()?,
-        method: METHOD,
-        rows: part.rows,
-        settings,
-        tensors,
-        bounds: bounds(file)?,
-        notes: Vec::new(),
-    })
+    Ok(Scene { bounds: bounds(file)?, ..scene })
 }
 
 /// Fails for what the field of gs4d does not have.

@@ -12,8 +12,8 @@ const METHOD: &str = "grid4d";
 const GRIDS: [&str; 4] = ["xyz", "xyt", "yzt", "xzt"];
 
 pub(crate) fn scene(file: &Exported<'_>) -> Result<Scene, CheckpointError> {
-    let part = cloud(file)?;
-    let (mut settings, mut tensors) = (part.settings, part.tensors);
+    let mut scene = cloud(file, CODE, METHOD)?;
+    let Scene { settings, tensors, .. } = &mut scene;
     let grids = [grid(file, "canonical")?, grid(file, "deform")?];
     for name in GRIDS {
         let config = &grids[usize::from(name.ends_with('t'))];
@@ -46,16 +46,7 @@ pub(crate) fn scene(file: &Exported<'_>) -> Result<Scene, CheckpointError> {
         set("field.directional", file.setting("network_args")["directional"].as_bool().unwrap_or(true)),
         set("field.compat_grid4d", true),
     ]);
-    Ok(Scene {
-        code: CODE,
-        iteration: file.iteration()?,
-        method: METHOD,
-        rows: part.rows,
-        settings,
-        tensors,
-        bounds: part.bounds,
-        notes: Vec::new(),
-    })
+    Ok(scene)
 }
 
 /// Half the side of the cube in world units: the code scales positions before it looks them up.

@@ -12,7 +12,7 @@ use gs_deform::encode::hash::level::Level;
 
 const PRIMES: [u32; 2] = [2_654_435_761, 805_459_861];
 
-/// Most nodes along an axis that are told apart from more.
+/// Nodes along an axis beyond which more make no difference: such a level is hashed.
 const MOST_NODES: f32 = 1e6;
 
 /// A level as the code's kernel addresses it.

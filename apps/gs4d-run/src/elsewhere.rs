@@ -4,7 +4,7 @@ use crate::RunError;
 use crate::config::Source;
 use crate::folder::{Beginning, RunFolder};
 use crate::kept::Kept;
-use crate::provenance::{DataOrigin, Machine, now_utc};
+use crate::provenance;
 use crate::settings::{self, Resolved};
 use glam::Vec3;
 use gs_train::checkpoint::Checkpoint;
@@ -12,7 +12,7 @@ use gs_train::registry::Registry;
 use gs_train::saved::{self, RunState};
 use gs_train::scene::{InitConfig, InitFrom, SceneInfo};
 use gs_train::trainer::TrainError;
-use serde_json::{Value, json};
+use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -63,26 +63,16 @@ impl Elsewhere {
         let state = RunState { config: &resolved.method, scene: &scene, step, adam_updates: &none, train_seconds: 0.0 };
         let meta = saved::save_for_rendering(&model, &state).meta;
         let checkpoint = Checkpoint { meta, tensors: self.tensors };
-        let loaded = saved::load(&resolved.registry, &checkpoint, None).map_err(TrainError::State)?;
-        let provenance = json!({
-            "machine": Machine::here(),
-            "started": now_utc(),
-            "method": self.method,
-            "preset": resolved.run.preset,
-            "seed": resolved.run.seed,
-            "steps": step,
-            "data": DataOrigin::of(&dataset),
-            "trained_elsewhere": self.origin,
-        });
+        saved::load(&resolved.registry, &checkpoint, None).map_err(TrainError::State)?;
+        let mut provenance = provenance::begun(resolved, &dataset, step);
+        provenance["trained_elsewhere"] = self.origin;
         let beginning = Beginning {
             config: &resolved.to_toml()?,
             provenance: &format!("{provenance:#}\n"),
             data: &format!("{}\n", Kept::of(&dataset).to_json()?),
         };
         let folder = RunFolder::create(root, overwrite, &beginning)?;
-        let whole =
-            RunState { config: &loaded.config, scene: &loaded.scene, step, adam_updates: &none, train_seconds: 0.0 };
-        saved::save_for_rendering(&loaded.model, &whole).save_step(&folder.checkpoints(), step)?;
+        checkpoint.save_step(&folder.checkpoints(), step)?;
         Ok(folder)
     }
 }

@@ -1,7 +1,7 @@
 //! Provenance of a run: what is needed to repeat it, and the machine its seconds were measured on.
 
-use crate::RunError;
 use crate::folder::{PROVENANCE, RunFolder};
+use crate::{Resolved, RunError};
 use gs_data::{Dataset, ImageSource};
 use gs_raster::SimdLevel;
 use gs_train::device::CPU;
@@ -82,6 +82,19 @@ impl DataOrigin {
             notes: dataset.notes.clone(),
         }
     }
+}
+
+/// The provenance of a run of so many steps that begins now.
+pub(crate) fn begun(resolved: &Resolved, dataset: &Dataset, steps: u32) -> Value {
+    json!({
+        "machine": Machine::here(),
+        "started": now_utc(),
+        "method": resolved.run.method,
+        "preset": resolved.run.preset,
+        "seed": resolved.run.seed,
+        "steps": steps,
+        "data": DataOrigin::of(dataset),
+    })
 }
 
 /// A session that goes on with a run.

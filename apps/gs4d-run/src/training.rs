@@ -8,7 +8,7 @@ use super::folder::{self, Beginning, RunFolder};
 use super::kept::Kept;
 use super::log::Log;
 use super::opened::{check_method, metrics_json};
-use super::provenance::{self, DataOrigin, Machine, now_utc};
+use super::provenance;
 use super::ranks;
 use super::saving::Patience;
 use super::settings::{self, Resolved};
@@ -145,16 +145,8 @@ impl Training {
     ) -> Result<Self, RunError> {
         let options = TrainOptions { seed: resolved.run.seed, image_bytes: resolved.run.image_bytes() };
         let trainer = Trainer::new(&resolved.registry, dataset, &resolved.run.method, &resolved.method, options)?;
-        let provenance = json!({
-            "machine": Machine::here(),
-            "started": now_utc(),
-            "method": resolved.run.method,
-            "preset": resolved.run.preset,
-            "seed": resolved.run.seed,
-            "steps": trainer.steps(),
-            "data": DataOrigin::of(trainer.dataset()),
-            "rounds": rounds,
-        });
+        let mut provenance = provenance::begun(&resolved, trainer.dataset(), trainer.steps());
+        provenance["rounds"] = json!(rounds);
         let beginning = Beginning {
             config: &resolved.to_toml()?,
             provenance: &format!("{provenance:#}\n"),

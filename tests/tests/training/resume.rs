@@ -5,15 +5,9 @@ use gs_core::Rng;
 use gs_data::Dataset;
 use gs_train::checkpoint::Checkpoint;
 use gs_train::saved;
-use gs_train::testkit;
+use gs_train::testkit::{self, timeless};
 use gs_train::trainer::{TrainOptions, Trainer};
 use std::sync::Arc;
-
-/// Everything a checkpoint says but the clock on the wall.
-fn timeless(mut state: Checkpoint) -> Checkpoint {
-    state.meta["train_seconds"] = 0.into();
-    state
-}
 
 #[test]
 fn resuming_at_any_step_continues_bit_for_bit() {
