@@ -249,6 +249,41 @@ fn fourdgs_agrees_with_its_reference() {
 }
 
 #[test]
+fn planes_can_be_sampled_elsewhere_than_at_the_means() {
+    let config = small_fourdgs();
+    let (mut field, t, n) = (fourdgs(&config), time(0.37), 2 * BLOCK + 5);
+    let (s, d_out) = (splats(n), cotangents(n, 2));
+    let (mut tape, mut out, mut same) = (Default::default(), Geometry::default(), Geometry::default());
+    field.forward(s.view(), t, &mut tape, &mut out);
+    let mut d = Geometry::zeros(n);
+    field.clear_grads();
+    field.backward(s.view(), &mut tape, d_out.view(), &mut d);
+    let mut grads = Vec::new();
+    field.visit(&mut |p| grads.push(p.grad.clone()));
+    // At the means: the same, and both parts of the cotangent add up to that of the means.
+    field.forward_at(&s.means, s.view(), t, &mut tape, &mut same);
+    assert_eq!(out, same);
+    let (mut d_at, mut d_places) = (Geometry::zeros(n), vec![Vec3::ZERO; n]);
+    field.clear_grads();
+    field.backward_at(s.view(), &mut tape, d_out.view(), &mut d_at, &mut d_places);
+    let mut again = Vec::new();
+    field.visit(&mut |p| again.push(p.grad.clone()));
+    assert_eq!(grads, again);
+    for (whole, (a, b)) in d.means.iter().zip(d_at.means.iter().zip(&d_places)) {
+        assert!((*whole - *a - *b).length() <= 1e-5 * (1.0 + whole.length()), "{whole} {a} {b}");
+    }
+    assert!(d_places.iter().any(|p| p.length() > 1e-3));
+    // Elsewhere: the offsets of those places.
+    let places: Vec<Vec3> = s.means.iter().map(|m| *m * 0.5 + 0.1).collect();
+    field.forward_at(&places, s.view(), t, &mut tape, &mut same);
+    let mut offsets = Default::default();
+    field.offsets_at(&places, t, &mut tape, &mut offsets);
+    for (i, moved) in same.means.iter().enumerate() {
+        assert_eq!(*moved, s.means[i] + Vec3::from_slice(&offsets.means[3 * i..]));
+    }
+}
+
+#[test]
 fn defgs_agrees_with_its_reference() {
     for (n, t, config) in [
         (17, 0.6, small_defgs()),

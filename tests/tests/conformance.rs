@@ -99,6 +99,20 @@ const MODEC: Case = Case {
     ..PLAIN
 };
 
+/// LGD is asked where Gaussians are at rest, and anchors move between key frames.
+const REST: &str = "lgd_query = \"rest\"\nintervals.blend = \"linear\"";
+
+const GAD_AT_ZERO: Case = Case {
+    modify: |p| {
+        if ["gad.positions.", "gad.features.", "gad.offsets.", "gad.scales."].iter().any(|h| p.name.starts_with(h)) {
+            p.value.fill(0.0);
+        }
+    },
+    required: &["anchors.positions"],
+    exempt: &[("", ELSEWHERE)],
+    ..MODEC
+};
+
 const CASES: &[Case] = &[
     Case { method: "spacetime", required: &["cloud.", "motion.", "time."], ..PLAIN },
     Case { method: "static3d", required: &["cloud."], ..PLAIN },
@@ -114,23 +128,15 @@ const CASES: &[Case] = &[
     MODEC,
     Case { over: "intervals.blend = \"linear\"", time: 0.5, ..MODEC },
     Case { over: "intervals.blend = \"smooth\"", ..MODEC },
+    Case { over: REST, ..MODEC },
     Case {
         over: "gad.dynamics.global = \"mul\"",
         required: &["anchors.dynamics", "gad."],
         exempt: &[("", ELSEWHERE)],
         ..MODEC
     },
-    Case {
-        modify: |p| {
-            if ["gad.positions.", "gad.features.", "gad.offsets.", "gad.scales."].iter().any(|h| p.name.starts_with(h))
-            {
-                p.value.fill(0.0);
-            }
-        },
-        required: &["anchors.positions"],
-        exempt: &[("", ELSEWHERE)],
-        ..MODEC
-    },
+    GAD_AT_ZERO,
+    Case { over: REST, ..GAD_AT_ZERO },
     // At 0.9 a pixel crosses the border of a wide splat whose opacity is three times the least that is drawn.
     Case { method: "trace", time: 0.88, ..PHYSICS },
     // Lobes turn with their splats; no gradient of turning comes from colours.

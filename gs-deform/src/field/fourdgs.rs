@@ -185,18 +185,21 @@ impl HexPlaneField {
         }
     }
 
-    /// The heads' outputs for a block; a head that does not exist gives an empty column.
-    fn offsets<'a>(&self, block: &'a NetBlock) -> Offsets<'a> {
-        let [means, scales, quats] = self.heads.map(|head| head.map_or(&[][..], |h| block.head(h)));
-        Offsets { means, scales, quats }
-    }
-}
-
-impl Field for HexPlaneField {
-    type Tape = HexPlaneTape;
-
-    fn forward(&self, canonical: GeometryRef<'_>, t: Time, tape: &mut HexPlaneTape, out: &mut Geometry) {
-        self.net.forward(canonical.means, t, &mut tape.net);
+    /// [`Field::forward`] where the planes are sampled at `places`, one per splat (world units), and not at the means: a splat that
+    /// another stage has moved can be asked about where it rests.
+    ///
+    /// # Panics
+    /// If there are not as many places as splats.
+    pub fn forward_at(
+        &self,
+        places: &[Vec3],
+        canonical: GeometryRef<'_>,
+        t: Time,
+        tape: &mut HexPlaneTape,
+        out: &mut Geometry,
+    ) {
+        assert_eq!(places.len(), canonical.len(), "a place for every splat");
+        self.net.forward(places, t, &mut tape.net);
         out.resize(canonical.len());
         let columns = canonical.chunks(BLOCK).zip(out.view_mut().chunks(BLOCK));
         tape.net.blocks().par_iter().zip(columns).for_each(|(block, (from, mut to))| {
@@ -204,8 +207,22 @@ impl Field for HexPlaneField {
         });
     }
 
-    fn backward(
+    /// Backward of [`Self::forward_at`], as [`Field::backward`]; adds to `d_places`, too.
+    pub fn backward_at(
         &mut self,
+        canonical: GeometryRef<'_>,
+        tape: &mut HexPlaneTape,
+        d_out: GeometryRef<'_>,
+        d_canonical: &mut Geometry,
+        d_places: &mut [Vec3],
+    ) {
+        self.backward_heads(canonical, tape, d_out, d_canonical);
+        self.net.backward(&mut tape.net, (!self.config.detach_coordinates).then_some(d_places));
+    }
+
+    /// Cotangents of the splats through the rules of offsets, and of the heads' outputs.
+    fn backward_heads(
+        &self,
         canonical: GeometryRef<'_>,
         tape: &mut HexPlaneTape,
         d_out: GeometryRef<'_>,
@@ -225,8 +242,31 @@ impl Field for HexPlaneField {
                 }
             }
         });
-        let d_means = if self.config.detach_coordinates { None } else { Some(d_canonical.means.as_mut_slice()) };
-        self.net.backward(net, d_means);
+    }
+
+    /// The heads' outputs for a block; a head that does not exist gives an empty column.
+    fn offsets<'a>(&self, block: &'a NetBlock) -> Offsets<'a> {
+        let [means, scales, quats] = self.heads.map(|head| head.map_or(&[][..], |h| block.head(h)));
+        Offsets { means, scales, quats }
+    }
+}
+
+impl Field for HexPlaneField {
+    type Tape = HexPlaneTape;
+
+    fn forward(&self, canonical: GeometryRef<'_>, t: Time, tape: &mut HexPlaneTape, out: &mut Geometry) {
+        self.forward_at(canonical.means, canonical, t, tape, out);
+    }
+
+    fn backward(
+        &mut self,
+        canonical: GeometryRef<'_>,
+        tape: &mut HexPlaneTape,
+        d_out: GeometryRef<'_>,
+        d_canonical: &mut Geometry,
+    ) {
+        self.backward_heads(canonical, tape, d_out, d_canonical);
+        self.net.backward(&mut tape.net, (!self.config.detach_coordinates).then_some(&mut d_canonical.means[..]));
     }
 
     fn regularise(&mut self, _canonical: GeometryRef<'_>, _t: Time, _step: u32) -> Vec<(&'static str, f32)> {

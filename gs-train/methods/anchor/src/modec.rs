@@ -9,7 +9,7 @@
 //! | `lgd` | motion of the Gaussians | "GAD only" |
 //! | `tia` | motion of the boundaries | without TIA |
 
-use crate::anchored::{AnchorConfig, Anchored, Motion, Parts, SparsityConfig};
+use crate::anchored::{AnchorConfig, Anchored, Motion, Parts, Query, SparsityConfig};
 use crate::scaffold::{self, DOMAINS};
 use gs_anchor::{AnchorDensifyRules, AnchorShape, DecoderConfig, Gad, GadConfig, IntervalConfig, Intervals};
 use gs_deform::{Aabb, FourDgsConfig, HexPlaneField};
@@ -73,6 +73,8 @@ pub struct Config {
     pub gad: GadConfig,
     /// Local Gaussian deformation, once per frame.
     pub lgd: FourDgsConfig,
+    /// Where LGD's planes are asked about a Gaussian.
+    pub lgd_query: Query,
     /// Temporal intervals and when they are adjusted.
     pub intervals: IntervalConfig,
     /// Growth and pruning of anchors.
@@ -109,6 +111,7 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let motion = Motion {
         gad,
         lgd: lgd.transpose().map_err(field)?,
+        query: config.lgd_query,
         intervals: intervals.transpose().map_err(|e| MethodError::Config { method: ENTRY.name, why: e.to_string() })?,
     };
     let parts = Parts {

@@ -84,8 +84,8 @@ fn the_local_stage_starts_from_the_global_fit() {
 
 #[test]
 fn filtered_pictures_are_those_without_a_filter() {
-    let trainer = trained(&modec(""), 60);
-    let config = modec("[anchors]\nfilter = \"off\"");
+    let trainer = trained(&modec("lgd_query = \"rest\""), 60);
+    let config = modec("lgd_query = \"rest\"\n[anchors]\nfilter = \"off\"");
     let load = |config| saved::load(&registry(), &trainer.state(), config).expect("state").model;
     let (filtered, whole) = (load(None), load(Some(&config)));
     let mut left_out = 0;
@@ -105,8 +105,20 @@ fn filtered_pictures_are_those_without_a_filter() {
 }
 
 #[test]
-fn kept_intervals_draw_the_same_bits() {
+fn lgd_at_rest_differs_once_anchors_have_moved() {
     let trainer = trained(&modec(""), 60);
+    let camera = &trainer.dataset().train[0].camera;
+    let asked = |over: &str| {
+        let model = saved::load(&registry(), &trainer.state(), Some(&modec(over))).expect("state").model;
+        splats(&model, 0.6, camera)
+    };
+    assert_eq!(asked("lgd_query = \"moved\""), splats(trainer.model(), 0.6, camera));
+    assert_ne!(asked("lgd_query = \"rest\"").means, splats(trainer.model(), 0.6, camera).means);
+}
+
+#[test]
+fn kept_intervals_draw_the_same_bits() {
+    let trainer = trained(&modec("lgd_query = \"rest\""), 60);
     let camera = &trainer.dataset().train[0].camera;
     let load = || saved::load(&registry(), &trainer.state(), None).expect("state").model;
     let warm = load();
@@ -216,7 +228,12 @@ fn a_static_scene_is_the_plain_scaffold() {
 
 #[test]
 fn what_is_baked_stays_within_its_tolerance() {
-    let trainer = trained(&modec(""), 60);
+    for over in ["", "lgd_query = \"rest\""] {
+        baked_within_tolerance(&trained(&modec(over), 60));
+    }
+}
+
+fn baked_within_tolerance(trainer: &Trainer) {
     let method = trainer.model();
     let cameras: Vec<Camera> = trainer.dataset().train.iter().map(|v| v.camera.clone()).collect();
     let mut still = Vec::new();

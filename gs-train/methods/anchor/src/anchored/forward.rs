@@ -2,10 +2,13 @@
 
 use super::Anchored;
 use super::key_frames::KeyFrames;
+use super::motion::Query;
+use glam::Vec3;
 use gs_anchor::visible::{self, SUPPORT, VisibilityOptions};
 use gs_anchor::{DecodeTape, LocalAnchors, LocalAnchorsGrad, Visible};
 use gs_core::{Camera, Geometry, GeometryRef, Splats, SplatsGrad, SplatsRef, Time, cast};
-use gs_deform::{Field, HexPlaneField};
+use gs_deform::Field;
+use gs_deform::field::fourdgs::HexPlaneTape;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -47,7 +50,13 @@ pub(super) struct Tape {
     splats: Splats,
     /// Cotangents of what is rendered.
     pub d_splats: SplatsGrad,
-    lgd: <HexPlaneField as Field>::Tape,
+    /// The anchors at rest and their cotangents, if LGD is asked there.
+    rest: LocalAnchors,
+    d_rest: LocalAnchorsGrad,
+    /// Where LGD is asked about each decoded Gaussian, and cotangents of these places.
+    places: Vec<Vec3>,
+    d_places: Vec<Vec3>,
+    lgd: HexPlaneTape,
     /// Where LGD moved them, if it took part.
     moved: Geometry,
     d_decoded: Geometry,
@@ -74,6 +83,9 @@ impl Anchored {
             _ => self.anchors.activate(&mut tape.local),
         }
         tape.moves = dynamic && self.motion.lgd.is_some();
+        if tape.moves && self.motion.query == Query::Rest {
+            self.anchors.activate(&mut tape.rest);
+        }
         while !self.forward_within(t, camera) {}
     }
 
@@ -97,7 +109,13 @@ impl Anchored {
         };
         self.decoder.forward(&tape.local, visible, eye, &mut tape.decoded, &mut tape.splats);
         let Some(lgd) = self.motion.lgd.as_ref().filter(|_| tape.moves) else { return true };
-        lgd.forward(tape.splats.geometry(), t, &mut tape.lgd, &mut tape.moved);
+        match self.motion.query {
+            Query::Moved => lgd.forward(tape.splats.geometry(), t, &mut tape.lgd, &mut tape.moved),
+            Query::Rest => {
+                centers(&tape.rest, &tape.decoded.rows, self.config.offsets, &mut tape.places);
+                lgd.forward_at(&tape.places, tape.splats.geometry(), t, &mut tape.lgd, &mut tape.moved);
+            }
+        }
         let farthest = farthest(tape.splats.geometry(), tape.moved.view());
         let held = self.config.filter != Filter::Clean || f64::from(farthest) <= margin;
         self.reach[0] = self.reach[0].max(farthest);
@@ -110,7 +128,19 @@ impl Anchored {
         tape.d_local.reset(&tape.local);
         if let Some(lgd) = self.motion.lgd.as_mut().filter(|_| tape.moves) {
             tape.d_decoded.reset(tape.splats.len());
-            lgd.backward(tape.splats.geometry(), &mut tape.lgd, tape.d_splats.geometry(), &mut tape.d_decoded);
+            let (splats, d_splats) = (tape.splats.geometry(), tape.d_splats.geometry());
+            match self.motion.query {
+                Query::Moved => lgd.backward(splats, &mut tape.lgd, d_splats, &mut tape.d_decoded),
+                Query::Rest => {
+                    tape.d_places.clear();
+                    tape.d_places.resize(splats.len(), Vec3::ZERO);
+                    lgd.backward_at(splats, &mut tape.lgd, d_splats, &mut tape.d_decoded, &mut tape.d_places);
+                    tape.d_rest.reset(&tape.rest);
+                    let rows = &tape.decoded.rows;
+                    centers_backward(&tape.rest, rows, self.config.offsets, &tape.d_places, &mut tape.d_rest);
+                    self.anchors.activate_backward(&tape.rest, &tape.d_rest);
+                }
+            }
             tape.d_splats.swap_geometry(&mut tape.d_decoded);
         }
         self.decoder.backward(&tape.local, &mut tape.decoded, &tape.d_splats, &mut tape.d_local);
@@ -119,6 +149,30 @@ impl Anchored {
             Some(gad) => tape.keys.backward(gad, &mut self.anchors, &tape.d_local),
             None => self.anchors.activate_backward(&tape.local, &tape.d_local),
         }
+    }
+}
+
+/// Centre `x + O ⊙ l` of the Gaussian of a row (`anchor · offsets + j`).
+pub(super) fn center(local: &LocalAnchors, row: u32, offsets: usize) -> Vec3 {
+    let (row, anchor) = (row as usize, row as usize / offsets);
+    local.positions[anchor]
+        + Vec3::from_slice(&local.offsets[3 * row..]) * Vec3::from_slice(&local.scales[6 * anchor..])
+}
+
+/// The centres of the Gaussians of `rows`.
+pub(super) fn centers(local: &LocalAnchors, rows: &[u32], offsets: usize, out: &mut Vec<Vec3>) {
+    rows.par_iter().map(|row| center(local, *row, offsets)).collect_into_vec(out);
+}
+
+/// Backward of [`centers`]: adds to the cotangents of the anchors.
+fn centers_backward(local: &LocalAnchors, rows: &[u32], offsets: usize, d: &[Vec3], out: &mut LocalAnchorsGrad) {
+    for (row, d) in rows.iter().map(|r| *r as usize).zip(d) {
+        let anchor = row / offsets;
+        let (offset, scale) =
+            (Vec3::from_slice(&local.offsets[3 * row..]), Vec3::from_slice(&local.scales[6 * anchor..]));
+        out.positions[anchor] += *d;
+        out.offsets[3 * row..][..3].iter_mut().zip((*d * scale).to_array()).for_each(|(to, v)| *to += v);
+        out.scales[6 * anchor..][..3].iter_mut().zip((*d * offset).to_array()).for_each(|(to, v)| *to += v);
     }
 }
 

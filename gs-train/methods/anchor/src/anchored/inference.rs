@@ -1,16 +1,17 @@
 //! Splats without gradients: as a camera sees them, stage by stage, and all of them for analyses.
 
 use super::Anchored;
-use super::forward::{Filter, ROOM, farthest};
+use super::forward::{Filter, ROOM, center, centers, farthest};
+use super::motion::Query;
 use super::rest::Rest;
 use glam::Vec3;
 use gs_anchor::visible::{self, VisibilityOptions};
 use gs_anchor::{DecodeTape, LocalAnchors, Visible};
 use gs_core::{Camera, Color, Geometry, GeometryRef, Splats, Time, cast};
-use gs_deform::Field;
 use gs_train::capabilities::StageView;
+use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 /// Intervals kept at once: 64 of 27 000 anchors are 500 MB.
 const INTERVALS_KEPT: usize = 64;
@@ -22,6 +23,8 @@ const TRIES: usize = 3;
 #[derive(Default)]
 pub(super) struct Cache {
     locals: Mutex<BTreeMap<u32, Arc<LocalAnchors>>>,
+    /// The anchors before GAD, where LGD is asked there.
+    at_rest: OnceLock<LocalAnchors>,
     /// What is left where it rests, if anything is.
     rest: Option<Rest>,
 }
@@ -30,6 +33,7 @@ impl Cache {
     /// To be called before anything it depends on changes.
     pub(super) fn forget(&mut self) {
         self.locals.get_mut().unwrap_or_else(PoisonError::into_inner).clear();
+        self.at_rest.take();
         self.rest = None;
     }
 
@@ -108,11 +112,24 @@ impl Anchored {
     fn moved(&self, neural: GeometryRef<'_>, rows: &[u32], t: Time) -> Option<Geometry> {
         let lgd = self.motion.lgd.as_ref().filter(|_| self.dynamic())?;
         let mut moved = Geometry::default();
+        let places = self.places(neural.means, rows);
         match &self.cache.rest {
-            Some(rest) => rest.forward(lgd, neural, rows, t, &mut moved),
-            None => lgd.forward(neural, t, &mut Default::default(), &mut moved),
+            Some(rest) => rest.forward(lgd, &places, neural, rows, t, &mut moved),
+            None => lgd.forward_at(&places, neural, t, &mut Default::default(), &mut moved),
         }
         Some(moved)
+    }
+
+    /// Where LGD is asked about the Gaussians of these rows, which GAD has moved to `means`.
+    pub(super) fn places<'a>(&self, means: &'a [Vec3], rows: &[u32]) -> Cow<'a, [Vec3]> {
+        match self.motion.query {
+            Query::Moved => Cow::Borrowed(means),
+            Query::Rest => {
+                let mut places = Vec::new();
+                centers(self.cache.at_rest.get_or_init(|| self.at_rest()), rows, self.config.offsets, &mut places);
+                Cow::Owned(places)
+            }
+        }
     }
 
     /// What `camera` sees at a time.
@@ -166,10 +183,7 @@ impl Anchored {
 
     /// Centre of the Gaussian of a row before LGD.
     pub(super) fn center(&self, local: &LocalAnchors, row: u32) -> Vec3 {
-        let (row, k) = (row as usize, self.config.offsets);
-        let anchor = row / k;
-        local.positions[anchor]
-            + Vec3::from_slice(&local.offsets[3 * row..]) * Vec3::from_slice(&local.scales[6 * anchor..])
+        center(local, row, self.config.offsets)
     }
 
     /// Every Gaussian of every anchor, in the same order at all times; those that are not there have opacity 0.

@@ -14,7 +14,7 @@ mod motion;
 mod rest;
 
 pub use forward::{Filter, Statistics};
-pub use motion::{Motion, SparsityConfig};
+pub use motion::{Motion, Query, SparsityConfig};
 
 use crate::journal::Journal;
 use forward::Tape;

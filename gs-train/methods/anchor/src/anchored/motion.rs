@@ -17,6 +17,17 @@ pub struct SparsityConfig {
     pub weight: f32,
 }
 
+/// Where LGD's planes are asked about a Gaussian.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Query {
+    /// Where GAD has moved it: one place is another part of the scene in each interval (MoDec-GS).
+    #[default]
+    Moved,
+    /// Where it is at rest: one place is the same part at all times.
+    Rest,
+}
+
 /// The parts of the motion; those that are absent leave the scene as it is.
 #[derive(Clone, Debug, Default)]
 pub struct Motion {
@@ -24,6 +35,8 @@ pub struct Motion {
     pub gad: Option<Gad>,
     /// Local Gaussian deformation: decoded Gaussians, per frame.
     pub lgd: Option<HexPlaneField>,
+    /// Where LGD is asked.
+    pub query: Query,
     /// The intervals GAD is constant in.
     pub intervals: Option<Intervals>,
 }

@@ -18,8 +18,8 @@ use super::Anchored;
 use glam::Vec3;
 use gs_core::nn::BLOCK;
 use gs_core::{Camera, Geometry, GeometryRef, Time, cast};
+use gs_deform::HexPlaneField;
 use gs_deform::apply::{Apply, Offsets};
-use gs_deform::{Field, HexPlaneField};
 use gs_train::capabilities::{FreezeOptions, FreezeReport};
 use gs_train::still::{screen_bound, shape_change};
 use rayon::prelude::*;
@@ -101,6 +101,7 @@ impl Rest {
     pub(super) fn forward(
         &self,
         lgd: &HexPlaneField,
+        places: &[Vec3],
         neural: GeometryRef<'_>,
         rows: &[u32],
         t: Time,
@@ -110,7 +111,8 @@ impl Rest {
         let moves = |i: &u32| !self.still[rows[*i as usize] as usize];
         let moving: Vec<u32> = (0..cast::to_u32(rows.len())).filter(moves).collect();
         let mut moved = Geometry::default();
-        lgd.forward(neural.pick(&moving).view(), t, &mut Default::default(), &mut moved);
+        let places: Vec<Vec3> = moving.iter().map(|i| places[*i as usize]).collect();
+        lgd.forward_at(&places, neural.pick(&moving).view(), t, &mut Default::default(), &mut moved);
         out.scatter(&moved, &moving);
     }
 }
@@ -170,10 +172,10 @@ impl Anchored {
     /// The poses of all rows at a time.
     fn poses(&self, lgd: &HexPlaneField, t: Time) -> Poses {
         let local = self.local(t);
-        let rows = cast::to_u32(local.len() * self.config.offsets);
-        let centers: Vec<Vec3> = (0..rows).into_par_iter().map(|row| self.center(&local, row)).collect();
+        let rows: Vec<u32> = (0..cast::to_u32(local.len() * self.config.offsets)).collect();
+        let centers: Vec<Vec3> = rows.par_iter().map(|row| self.center(&local, *row)).collect();
         let mut said = Default::default();
-        lgd.offsets_at(&centers, t, &mut Default::default(), &mut said);
+        lgd.offsets_at(&self.places(&centers, &rows), t, &mut Default::default(), &mut said);
         let mut centers: Vec<f32> = centers.iter().flat_map(|c| c.to_array()).collect();
         centers.iter_mut().zip(&said.means).for_each(|(c, d)| *c += d);
         Poses { centers, scales: said.scales, quats: said.quats }
