@@ -7,7 +7,8 @@ use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
 use glam::{DVec3, Vec3};
 use gs_core::io::{
-    Limits, NamedCamera, RawSplats, SplatFormat, cameras, npy, parse_cameras, parse_splats, ply, spz, write_splats,
+    Limits, NamedCamera, RawSplats, SplatFormat, cameras, load_splats, npy, parse_cameras, parse_splats, ply, spz,
+    write_splats, zip,
 };
 use gs_core::{Camera, Color, Kernel, Rng, Splats};
 use std::io::{Read, Write};
@@ -22,6 +23,7 @@ pub fn targets() -> Vec<Target> {
         one("spz", 2, spz_payloads, |c, _| splats(&gzip(c.first()), "a.spz")),
         one("spzraw", 1, spz_files, |c, _| splats(c.first(), "a.spz")),
         one("glb", 1, glb_seeds, |c, _| splats(&glb_of(c), "a.glb")),
+        one("sog", 2, sog_seeds, read_sog),
         one("cameras", 1, camera_seeds, |c, _| read_cameras(c.first())),
         one("npy", 1, npy_seeds, |c, _| read_npy(c.first())),
     ]
@@ -76,7 +78,11 @@ fn ascii(bytes: &[u8]) -> Vec<u8> {
 }
 
 fn splats(bytes: &[u8], name: &str) -> Result<(), String> {
-    let raw = parse_splats(bytes, name, &Limits::default()).map_err(|e| e.to_string())?;
+    whole(parse_splats(bytes, name, &Limits::default()).map_err(|e| e.to_string())?)
+}
+
+/// What every reader of splats promises.
+fn whole(raw: RawSplats) -> Result<(), String> {
     raw.check_shape().expect("columns of one length");
     assert!(raw.non_finite_rows().is_empty(), "a value that is not finite");
     Ok(())
@@ -138,6 +144,23 @@ pub fn glb_of(case: &Case) -> Vec<u8> {
         chunks.resize(chunks.len() + padded - bytes.len(), padding);
     }
     [b"glTF\x02\0\0\0", &(12 + chunks.len() as u32).to_le_bytes()[..], &chunks].concat()
+}
+
+/// A scene as the tests of gs-core have it: its description and some of its images are mutated, the others lie beside them.
+fn sog_seeds(dir: &Path) -> Result<Vec<Case>, Error> {
+    let archive = include_bytes!("../../../gs-core/tests/golden/cloud.sog");
+    let member = |name: &str| zip::member(archive, "cloud.sog", name, &Limits::default());
+    for name in ["means_l.webp", "means_u.webp", "scales.webp", "sh0.webp", "shN_labels.webp"] {
+        std::fs::write(dir.join(name), member(name)?)?;
+    }
+    let names = ["meta.json", "quats.webp", "shN_centroids.webp"];
+    let case = names.iter().try_fold(Case::default(), |case, name| Ok::<_, Error>(case.with(name, member(name)?)));
+    Ok(vec![case?])
+}
+
+fn read_sog(case: &Case, dir: &Path) -> Result<(), String> {
+    case.write(dir).map_err(|e| e.to_string())?;
+    whole(load_splats(&dir.join("meta.json"), &Limits::default()).map_err(|e| e.to_string())?)
 }
 
 fn camera_seeds(_: &Path) -> Result<Vec<Case>, Error> {

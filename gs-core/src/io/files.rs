@@ -95,23 +95,39 @@ pub fn parse_splats(bytes: &[u8], file: &str, limits: &Limits) -> Result<RawSpla
     }
     // A .ksplat starts with its version (0.1) and a header of 4096 bytes.
     if ends_with(".ksplat") || (bytes.starts_with(&[0, 1, 0, 0]) && bytes.len() >= 4096 && !ends_with(".splat")) {
-        return Err(src.unsupported("the .ksplat format", "convert it to .ply, .splat, .spz or .glb"));
+        return Err(src.unsupported("the .ksplat format", "convert it to .ply, .splat, .spz, .glb or .sog"));
     }
     if bytes.starts_with(b"PK") {
-        return Err(src.unsupported("a zip archive (.sog?)", "unpack or convert it to .ply, .splat, .spz or .glb"));
+        return sog(bytes, file, limits);
     }
     if ends_with(".splat") {
         return splat::read(bytes, file, limits);
     }
-    let what = "neither PLY, nor SPZ, nor GLB, and the name does not end in .splat";
-    Err(src.malformed(At::Byte(0), what, "give a .ply, .splat, .spz or .glb file"))
+    let what = "neither PLY, nor SPZ, GLB or SOG, and the name does not end in .splat";
+    Err(src.malformed(At::Byte(0), what, "give a .ply, .splat, .spz, .glb or .sog file"))
 }
 
-/// Reads a splat file of any supported format; the content determines the format.
+#[cfg(feature = "images")]
+fn sog(bytes: &[u8], file: &str, limits: &Limits) -> Result<RawSplats, IoError> {
+    super::sog::read(bytes, file, limits).map(|(_, splats)| splats)
+}
+
+#[cfg(not(feature = "images"))]
+fn sog(_: &[u8], file: &str, _: &Limits) -> Result<RawSplats, IoError> {
+    let src = Source { file, format: "splat file" };
+    Err(src.unsupported("a zip archive (.sog?)", "build gs-core with the feature `images`, or convert it to .ply"))
+}
+
+/// Reads a splat file of any supported format; the content determines the format. `meta.json` of a SOG scene is read with the images
+/// beside it.
 ///
 /// # Errors
 /// As [`read_file`] and [`parse_splats`].
 pub fn load_splats(path: &Path, limits: &Limits) -> Result<RawSplats, IoError> {
+    #[cfg(feature = "images")]
+    if path.file_name().is_some_and(|name| name == "meta.json") {
+        return super::sog::load(path, limits).map(|(_, splats)| splats);
+    }
     let bytes = read_file(path, limits)?;
     parse_splats(&bytes, &path.display().to_string(), limits)
 }
@@ -177,7 +193,6 @@ mod tests {
     fn unknown_formats_and_paths_are_named() {
         let parse = |bytes: &[u8], name: &str| parse_splats(bytes, name, &Limits::default()).unwrap_err().to_string();
         assert!(parse(b"solid", "a.stl").contains("neither PLY"));
-        assert!(parse(b"PK\x03\x04", "a.sog").contains("zip archive"));
         assert!(parse(&[0; 64], "a.ksplat").contains(".ksplat"));
         assert!(parse_splats(&[0; 0], "a.splat", &Limits::default()).unwrap().is_empty());
         let dir = tempfile::tempdir().unwrap();

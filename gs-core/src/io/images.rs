@@ -68,7 +68,7 @@ pub fn load_image(path: &Path, limits: &Limits) -> Result<Image, IoError> {
 /// Not such an image, or a side above the limits.
 pub fn image_size(bytes: &[u8], file: &str, limits: &Limits) -> Result<(u32, u32), IoError> {
     let src = Source { file, format: "image" };
-    let size = open(bytes, limits, src)?.into_dimensions().map_err(|e| broken(&e, src))?;
+    let size = open(CAPTURES, bytes, limits, src)?.into_dimensions().map_err(|e| broken(&e, src))?;
     limits.image(src, (size.0.into(), size.1.into()), 1, bytes.len())?;
     Ok(size)
 }
@@ -117,12 +117,33 @@ fn unit16(values: &[u16]) -> Vec<f32> {
     values.iter().map(|&v| f32::from(v) / 65_535.0).collect()
 }
 
-/// A reader of the format the bytes show, with the limits set.
-fn open<'a>(bytes: &'a [u8], limits: &Limits, src: Source<'_>) -> Result<ImageReader<Cursor<&'a [u8]>>, IoError> {
+/// Decodes WebP or PNG bytes to 8-bit RGBA.
+///
+/// # Errors
+/// As [`decode_rgba8`].
+pub(super) fn decode_webp(bytes: &[u8], file: &str, limits: &Limits) -> Result<Rgba8, IoError> {
+    let src = Source { file, format: "image" };
+    let formats = (&[ImageFormat::WebP, ImageFormat::Png][..], "give a WebP or PNG file");
+    let image = decode_one_of(formats, bytes, 4, limits, src)?.into_rgba8();
+    let (width, height) = (image.width() as usize, image.height() as usize);
+    Ok(Rgba8 { width, height, data: image.into_raw() })
+}
+
+/// The formats of captures, and what to say to others.
+const CAPTURES: (&[ImageFormat], &str) =
+    (&[ImageFormat::Png, ImageFormat::Jpeg], "give a PNG or JPEG file (EXR needs the feature `exr`)");
+
+/// A reader of the format the bytes show, if it is one of these, with the limits set.
+fn open<'a>(
+    (formats, advice): (&[ImageFormat], &'static str),
+    bytes: &'a [u8],
+    limits: &Limits,
+    src: Source<'_>,
+) -> Result<ImageReader<Cursor<&'a [u8]>>, IoError> {
     let guess = ImageReader::new(Cursor::new(bytes)).with_guessed_format();
-    let mut reader = guess.map_err(|e| src.malformed(At::Byte(0), e.to_string(), "give a PNG or JPEG file"))?;
-    if !matches!(reader.format(), Some(ImageFormat::Png | ImageFormat::Jpeg)) {
-        return Err(src.unsupported("this image format", "give a PNG or JPEG file (EXR needs the feature `exr`)"));
+    let mut reader = guess.map_err(|e| src.malformed(At::Byte(0), e.to_string(), advice))?;
+    if !reader.format().is_some_and(|f| formats.contains(&f)) {
+        return Err(src.unsupported("this image format", advice));
     }
     let mut bounds = ::image::Limits::default();
     bounds.max_image_width = Some(limits.max_side);
@@ -142,7 +163,18 @@ fn broken(error: &::image::ImageError, src: Source<'_>) -> IoError {
 
 /// Checks the header against the limits, then decodes. The caller's copy takes `extra` bytes per pixel.
 fn decode(bytes: &[u8], extra: u64, limits: &Limits, src: Source<'_>) -> Result<DynamicImage, IoError> {
-    let reader = open(bytes, limits, src)?;
+    decode_one_of(CAPTURES, bytes, extra, limits, src)
+}
+
+/// The same of other formats.
+fn decode_one_of(
+    formats: (&[ImageFormat], &'static str),
+    bytes: &[u8],
+    extra: u64,
+    limits: &Limits,
+    src: Source<'_>,
+) -> Result<DynamicImage, IoError> {
+    let reader = open(formats, bytes, limits, src)?;
     if reader.format() == Some(ImageFormat::Jpeg) && !jpeg_ends(bytes) {
         return Err(src.truncated("JPEG end marker", bytes.len(), 2, 0));
     }

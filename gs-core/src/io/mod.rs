@@ -1,4 +1,4 @@
-//! Files: splats (`.ply`, `.splat`, `.spz`, `.glb`), cameras, images and arrays.
+//! Files: splats (`.ply`, `.splat`, `.spz`, `.glb`, `.sog`), cameras, images and arrays.
 //!
 //! One invariant holds for every reader: **any bytes give a value or a typed error**. Sizes are computed with checked or
 //! saturating arithmetic and compared with the bytes present before anything is allocated; there is no recursion on
@@ -37,7 +37,8 @@
 //! | `.splat` | yes | yes | degree 0, 8-bit colour and rotation, Gaussians only |
 //! | `.spz` 2, 3, 4 | yes | 2, 3 | quantised, Gaussians only; 1 and raw payloads are refused by name |
 //! | `.glb` | yes | yes | `KHR_gaussian_splatting`, exact, degree 0 to 3, Gaussians only |
-//! | `.ksplat`, compressed `.ply`, `.sog` | no | no | refused by name |
+//! | `.sog` 2, or its `meta.json` | feature `images` | no | quantised, Gaussians only, see `sog` |
+//! | `.ksplat`, compressed `.ply`, `.sog` 1 | no | no | refused by name |
 //! | camera JSON | yes | yes | three layouts, see [`cameras`] |
 //! | `.npy` | yes | yes | f32 and f64 in, f32 out |
 //! | PNG, JPEG | feature `images` | PNG | see `images` |
@@ -64,6 +65,8 @@ pub mod npy;
 pub mod ply;
 mod ply_header;
 mod raw;
+#[cfg(feature = "images")]
+pub mod sog;
 pub mod splat;
 pub mod spz;
 mod spz_container;
@@ -71,6 +74,7 @@ mod spz_quat;
 mod temporary;
 mod whole;
 pub mod y4m;
+pub mod zip;
 
 pub use crate::cloud::sigmoid;
 pub use axes::upright;

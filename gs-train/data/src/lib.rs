@@ -96,7 +96,6 @@ pub mod lens;
 mod llff;
 pub mod mask;
 mod nerfstudio;
-mod npz;
 mod nvfi;
 mod options;
 mod panoptic;
@@ -252,10 +251,7 @@ impl Dataset {
         #[cfg(not(feature = "avatar"))]
         let inputs = std::iter::empty();
         let all = self.train.iter_mut().chain(&mut self.val).chain(&mut self.test).chain(&mut self.extrapolate);
-        for v in all.chain(inputs) {
-            v.stored = Some([v.camera.width, v.camera.height]);
-            v.camera = v.camera.scaled(scale);
-        }
+        all.chain(inputs).for_each(|v| v.shrink(scale));
         self.notes.push(format!("images are shrunk to {scale} of their size, as data.scale asks"));
     }
 

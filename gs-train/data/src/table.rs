@@ -4,11 +4,11 @@ use std::path::Path;
 
 use glam::{DVec3, Vec3};
 use gs_core::cast;
-use gs_core::io::{Limits, npy};
+use gs_core::io::{IoError, Limits, npy, zip};
 
+use super::PointCloud;
 use super::error::{DataError, Place};
 use super::files::read_bytes;
-use super::{PointCloud, npz};
 
 /// Largest file read: 40 million points in `f64`.
 const MAX_BYTES: u64 = 1 << 30;
@@ -60,7 +60,13 @@ fn finite_point(file: &Path, row: usize, p: DVec3) -> Result<Vec3, DataError> {
 pub(crate) fn read_rows(file: &Path, width: usize) -> Result<Vec<f64>, DataError> {
     let mut bytes = read_bytes(file, MAX_BYTES)?;
     if file.extension().is_some_and(|e| e == "npz") {
-        bytes = npz::member(file, &bytes, "data.npy")?;
+        bytes =
+            zip::member(&bytes, &file.display().to_string(), "data.npy", &Limits::default()).map_err(|e| match e {
+                IoError::Limit { value, limit, .. } => {
+                    DataError::TooLarge { place: Place::new(file, "data.npy"), bytes: value, limit }
+                }
+                e => DataError::syntax(file, "", e.to_string()),
+            })?;
     }
     let array = npy::read(&bytes, &file.display().to_string(), &Limits::default())
         .map_err(|e| DataError::syntax(file, "", e.to_string()))?;

@@ -79,6 +79,12 @@ impl View {
             labels: None,
         }
     }
+
+    /// Scales the camera; the [`ImageCache`](crate::ImageCache) averages the image down to it.
+    pub(crate) fn shrink(&mut self, scale: f64) {
+        self.stored = Some([self.camera.width, self.camera.height]);
+        self.camera = self.camera.scaled(scale);
+    }
 }
 
 /// Which list of a [`Dataset`](crate::Dataset) a view is in.

@@ -26,7 +26,7 @@ use std::path::{Path, PathBuf};
 /// the loss in PSNR
 #[derive(clap::Args)]
 pub struct Export {
-    /// A run folder or .gs4d file, or a splat file to convert (.ply, .splat, .spz, .glb).
+    /// A run folder or .gs4d file, or a splat file to convert (.ply, .splat, .spz, .glb, .sog).
     #[arg(value_name = "RUN|SCENE")]
     scene: PathBuf,
     /// The file to write, named by its format; with several times the folder for time-0000.EXT and times.json. NAME.gs4d keeps the

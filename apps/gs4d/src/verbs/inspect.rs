@@ -27,7 +27,7 @@ const ECONOMY_VIEWS: usize = 5;
 /// Counts, ranges, needles and non-finite rows of a splat file or checkpoint; for a run, what its scene needed
 #[derive(clap::Args)]
 pub struct Inspect {
-    /// A .ply, .splat, .spz or .gs4d file, or a run folder.
+    /// A .ply, .splat, .spz, .glb, .sog or .gs4d file, or a run folder.
     #[arg(value_name = "FILE|RUN")]
     path: PathBuf,
     /// For a run: times at which its motion is sampled [default: its training views, 8 to 200].

@@ -34,7 +34,7 @@ use std::path::{Path, PathBuf};
 /// Render a splat file or a run from given cameras or around it, as PNG, EXR, NPY or video (MP4 where ffmpeg is)
 #[derive(clap::Args)]
 pub struct Render {
-    /// A .ply, .splat, .spz or .glb file, a run folder, or a .gs4d file (a checkpoint of a run, or what gs4d export made).
+    /// A .ply, .splat, .spz, .glb or .sog file, a run folder, or a .gs4d file (a checkpoint of a run, or what gs4d export made).
     #[arg(value_name = "SCENE|RUN")]
     scene: PathBuf,
     /// Cameras: INRIA cameras.json, a transforms file, or {width,height,fx,fy,cx,cy,world_to_camera} (name, time optional), one or a list;
