@@ -8,7 +8,7 @@
 //! * [`question`]: the messages of a browser and their limits; [`pose`]: poses of an avatar.
 //! * [`picture`]: from a question to pixels: colours, depth, coverage, overlays of the method, ground-truth images, differences;
 //!   [`style`]: splats, ellipsoids or points.
-//! * [`Feed`]: a run while it trains.
+//! * [`Feed`]: a run while it trains; [`LiveFilm`]: a person whose frames arrive in a folder.
 //!
 //! A training must not suffer from those who watch it: at most 64 connections are open; a request has a time limit; one image
 //! is rendered at a time and one is on its way to each browser; at most 64 MiB of answers wait for slow readers.
@@ -25,6 +25,7 @@ mod dropped;
 mod guard;
 mod legend;
 mod live;
+mod live_film;
 mod outbox;
 mod packing;
 mod pick;
@@ -41,6 +42,7 @@ pub mod style;
 mod turns;
 
 pub use live::{Feed, THREAD_NAME};
+pub use live_film::{LiveFilm, LiveFilmError, ShownFrame};
 pub use packing::Packing;
 pub use server::{Options, REQUEST_TIME, Server, start};
 pub use stage::{Show, Stage};

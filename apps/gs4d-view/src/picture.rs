@@ -99,8 +99,12 @@ impl Renderer {
         if let Some(avatar) = shot.scene.avatar() {
             header["inputs"] = inputs(avatar, q.time);
         }
-        header["ms"] = json!(begun.elapsed().as_secs_f64() * 1e3);
-        Ok(Answer { bytes: pack(&image, packing)?, header })
+        let bytes = pack(&image, packing)?;
+        header["ms"] = json!(ms_since(begun));
+        if let Some(frame) = shot.scene.frame {
+            header["frame"] = json!({"number": frame.number, "latency_ms": ms_since(frame.written)});
+        }
+        Ok(Answer { bytes, header })
     }
 
     fn layer(
@@ -276,6 +280,10 @@ fn truth(stage: &Stage, q: &Question, shot: &Shot) -> Result<(Image, f32), Strin
     let image = show.images().ok_or("there are no images")?.get(&view).map_err(|e| e.to_string())?;
     let [width, height] = [shot.camera.width as usize, shot.camera.height as usize];
     Ok((image.box_downscaled(width, height).over(shot.background()), view.time.normalised))
+}
+
+fn ms_since(begun: Instant) -> f64 {
+    begun.elapsed().as_secs_f64() * 1e3
 }
 
 /// PSNR in dB; `None` for identical images or different sizes.

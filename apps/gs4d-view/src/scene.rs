@@ -11,14 +11,26 @@ use gs4d_eval::segment::Labels;
 use std::borrow::Cow;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
 
 /// An immutable scene.
 pub(crate) struct Scene {
     /// Unique in this process.
     pub(crate) id: u64,
     source: Source,
+    /// The frame that it shows, if it is one of a live film.
+    pub(crate) frame: Option<LiveFrame>,
     /// Rigid parts, computed on first use.
     parts: OnceLock<Result<Labels, String>>,
+}
+
+/// A frame of a live film.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LiveFrame {
+    /// Its number.
+    pub(crate) number: u32,
+    /// When its last file was written.
+    pub(crate) written: Instant,
 }
 
 enum Source {
@@ -37,9 +49,14 @@ impl Scene {
         Self::of(Source::Splats(Box::new(splats)))
     }
 
+    /// The splats of a frame of a live film.
+    pub(crate) fn live(splats: Splats, frame: LiveFrame) -> Self {
+        Self { frame: Some(frame), ..Self::splats(splats) }
+    }
+
     fn of(source: Source) -> Self {
         static SCENES: AtomicU64 = AtomicU64::new(0);
-        Self { id: SCENES.fetch_add(1, Ordering::Relaxed), source, parts: OnceLock::new() }
+        Self { id: SCENES.fetch_add(1, Ordering::Relaxed), source, frame: None, parts: OnceLock::new() }
     }
 
     /// The method; `None` for static splats.

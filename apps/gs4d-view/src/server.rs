@@ -6,9 +6,11 @@ use crate::live::{Feed, Pace, THREAD_NAME};
 use crate::outbox::Outbox;
 use crate::packing::Packing;
 use crate::picture::Renderer;
+use crate::scene::{LiveFrame, Scene};
 use crate::stage::Stage;
 use crate::turns::Turns;
 use crate::{requests, routes};
+use gs_core::Splats;
 use gs_data::avatar::AvatarScene;
 use gs_train::device::Device;
 use gs_train::registry::Registry;
@@ -16,7 +18,7 @@ use serde_json::{Value, json};
 use std::net::{IpAddr, SocketAddr, TcpListener};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::sync::{Mutex, oneshot, watch};
 
 /// Ports tried after the one asked for.
@@ -60,6 +62,15 @@ impl Server {
     pub fn feed(&self, registry: Registry, avatar: Option<Arc<AvatarScene>>) -> Result<Feed, ViewError> {
         let share = self.shared.half_share.unwrap_or(1.0);
         Feed::start(registry, self.shared.clone(), avatar, share).map_err(ViewError::Threads)
+    }
+
+    /// Shows a frame of a live film in the first show. Pages ask for it, and are told how long ago `written`, the time its last file
+    /// was written, is once its image is ready.
+    pub fn show_frame(&self, splats: Splats, number: u32, written: Instant) {
+        let news = json!({"frame": {"number": number, "splats": splats.len()}});
+        self.shared.stage.shows()[0].replace(Scene::live(splats, LiveFrame { number, written }));
+        *self.shared.last_news.lock().unwrap_or_else(PoisonError::into_inner) = Some(news);
+        self.shared.tell();
     }
 
     /// Bytes of answers that wait for browsers to read them: at most 64 MiB, or one answer.

@@ -3,7 +3,7 @@
 use crate::checkpoints::Checkpoints;
 use crate::pose;
 use crate::scene::Scene;
-use gs_core::{Camera, Splats};
+use gs_core::{Camera, Splats, Time};
 use gs_data::{Dataset, ImageCache, View};
 use gs_raster::RasterOptions;
 use gs4d_run::orbit::middle;
@@ -71,6 +71,25 @@ impl Show {
         show.checkpoints = Some(Checkpoints::of(training.resolved().registry.clone(), training.folder().checkpoints()));
         show.set_data(data);
         Ok(show)
+    }
+
+    /// A film that arrives while it is shown; until its first frame it shows `splats`.
+    /// [`Server::show_frame`](crate::Server::show_frame) updates it. The cameras of `film` are listed.
+    pub fn live_film(
+        name: String,
+        splats: Splats,
+        options: RasterOptions,
+        background: [f32; 3],
+        film: &Dataset,
+    ) -> Self {
+        let mut show = Self::new(name, Scene::splats(splats), options, background);
+        // One view of each camera: they stand still.
+        let mut seen = std::collections::BTreeSet::new();
+        let all = [&film.train, &film.test].into_iter().flatten();
+        show.views = all.filter(|v| seen.insert(v.camera_id)).take(MAX_VIEWS).cloned().collect();
+        show.views.sort_by_key(|v| v.camera_id);
+        show.views.iter_mut().for_each(|v| v.time = Time::default());
+        show
     }
 
     /// A show of splats that never move, over black.

@@ -5,7 +5,7 @@ use std::sync::LazyLock;
 /// Groups of the verbs that are not among the first.
 const GROUPS: [(&str, &[&str]); 4] = [
     ("Compare", &["compare", "continual", "reproduce"]),
-    ("Look inside", &["methods", "config", "inspect", "forecast", "segment", "glmd"]),
+    ("Look inside", &["methods", "config", "inspect", "forecast", "segment", "glmd", "live"]),
     ("Make data, take over a scene", &["synth", "pose", "import-checkpoint"]),
     ("Measure, and set up a shell", &["lab", "bench", "completions", "man"]),
 ];

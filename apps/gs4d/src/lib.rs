@@ -71,6 +71,8 @@ enum Verb {
     #[command(hide = true)]
     Segment(verbs::segment::Segment),
     #[command(hide = true)]
+    Live(verbs::live::Live),
+    #[command(hide = true)]
     Glmd(verbs::glmd::Glmd),
     #[command(hide = true)]
     Synth(verbs::synth::Synth),
@@ -127,6 +129,7 @@ fn run(cli: Cli) -> Result<Answer, Failure> {
         Verb::Render(verb) => verb.run(global),
         Verb::View(verb) => verb.run(global),
         Verb::Forecast(verb) => verb.run(global),
+        Verb::Live(verb) => verb.run(global),
         Verb::Glmd(verb) => verb.run(global),
         Verb::Segment(verb) => verb.run(global),
         Verb::Inspect(verb) => verb.run(global),

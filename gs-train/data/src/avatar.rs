@@ -13,6 +13,7 @@ use glam::Vec3;
 use gs_core::{Camera, Image, Time, cast};
 use gs_texel::figure::{self, Cylinder};
 use gs_texel::{Character, Pose, Skinning};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -182,12 +183,13 @@ impl AvatarScene {
     /// # Errors
     /// Those of [`Self::input_pixels`].
     pub fn input_images(inputs: &[View], cache: &ImageCache) -> Result<Vec<(Camera, Image)>, DataError> {
-        let decoded = |view| {
+        let decoded = |view: &View| {
             let ImageU8 { width, height, data } = &*Self::input_pixels(view, cache)?;
             let data = data.iter().map(|&v| f32::from(v) / 255.0).collect();
             Ok((cache.camera(view), Image { width: *width, height: *height, channels: 4, data }))
         };
-        inputs.iter().map(decoded).collect()
+        let images: Vec<Result<_, DataError>> = inputs.par_iter().map(decoded).collect();
+        images.into_iter().collect()
     }
 
     /// Number of conditioning cameras of the first frame.

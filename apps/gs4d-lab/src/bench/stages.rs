@@ -164,7 +164,7 @@ impl Bench<'_> {
     fn frame(&mut self, frame: &AvatarFrame, images: &[(Camera, Image)]) -> Result<[f64; STAGES.len()], FrameError> {
         let (dut, actor) = (self.dut, self.dut.actor());
         let mut marks = vec![Instant::now()];
-        let posed = actor.pose(frame);
+        let posed = actor.pose(&frame.pose);
         marks.push(Instant::now());
         let first = actor.first_of(posed, images)?;
         marks.push(Instant::now());

@@ -4,7 +4,7 @@ const key = new URLSearchParams(location.search).get("k") || "";
 const FAST = 80; // milliseconds an image may take while something moves
 const COARSE = 0, REST = 1, FINE = 2, MOST = 3840 * 2160; // levels of images; pixels of the largest
 let version = 0; // raised whenever the present image is no longer what is wanted
-let socket = null, next = 1, busy = null, playing = false, moving = 0, shrink = 1, live = false, file = null, chosen = null, parts = [], missing = 0, came = 0; // came: when the first part of the present answer did
+let socket = null, next = 1, busy = null, playing = false, moving = 0, shrink = 1, live = false, arriving = false, file = null, chosen = null, parts = [], missing = 0, came = 0; // came: when the first part of the present answer did
 const sides = { a: { want: null, is: -1, shown: 0 }, b: { want: null, is: -1, shown: 0 } };
 const wanted = () => (state.compare === "wipe" || state.compare === "flicker" ? ["a", "b"] : ["a"]);
 const finest = () => (live ? REST : FINE); // a run under training gets no supersampled images
@@ -152,5 +152,5 @@ function open() {
     if (ours && busy.side === "key") busy.fetching.local.fail(); else if (!ours || busy.side !== "thumb") notice(message.error);
     if (ours) { if (sides[busy.side]) sides[busy.side].is = FINE; if (busy.side === "file") file = null; busy = null; pump(); }
   };
-  socket.onclose = () => { notice(live ? "Training has ended, or the connection is lost; trying again." : "The viewer has stopped or the connection is lost; trying again."); busy = null; setTimeout(open, 2000); };
+  socket.onclose = () => { notice(live && !arriving ? "Training has ended, or the connection is lost; trying again." : "The viewer has stopped or the connection is lost; trying again."); busy = null; setTimeout(open, 2000); };
 }

@@ -15,7 +15,7 @@ class Local {
   get live() { return live && state[this.side][0] === 0 && state[this.side][2] < 0; }
   // What the splats of the clip depend on besides time and camera.
   get name() { return JSON.stringify([target(this.side), state.hidden, state.pose, state.style, state.back, this.live && state.t]); }
-  get can() { return !this.broken && wanted().includes(this.side) && state.compare !== "difference" && state.style !== "points" && !PLAIN.includes(state[this.side][1]); }
+  get can() { return !this.broken && !arriving && wanted().includes(this.side) && state.compare !== "difference" && state.style !== "points" && !PLAIN.includes(state[this.side][1]); }
   get memory() { return this.side === "a" ? MEMORY : MEMORY / 2; }
   // Times of the keys: as many as training timestamps, at most those that fit into the memory.
   times(count) {

@@ -11,6 +11,7 @@ function svgElement(name, attributes) {
 const number = (v) => (v === null ? "–" : Math.abs(v) >= 1000 || (v !== 0 && Math.abs(v) < 0.01) ? v.toExponential(2) : String(+v.toPrecision(4)));
 function showStatus(header, spent) {
   const parts = [`${header.width}×${header.height}`, `rendered in ${header.ms.toFixed(0)} ms, here after ${spent.toFixed(0)} ms`];
+  if (header.frame) parts.unshift(`frame ${header.frame.number}, ${header.frame.latency_ms.toFixed(0)} ms after its files`);
   if (header.splats !== undefined) parts.unshift(`${header.splats.toLocaleString("en")} splats`);
   const v = about().views[state.view], of = state.compare === "difference" ? "between the two" : `of this ${v && v.held_out ? "held-out" : "training"} view`;
   if (header.psnr) parts.push(`PSNR ${of} ${header.psnr.toFixed(2)} dB at ${header.scored.join("×")}`);

@@ -1,6 +1,7 @@
 "use strict";
 // A run under training: its state, its curves, and its pause.
-function news({ layers: names, checkpoints, training: at, history }) {
+function news({ layers: names, checkpoints, training: at, history, frame }) {
+  if (frame) return arrived(frame);
   const known = live && shows[0].checkpoints.join() === checkpoints.join() && shows[0].layers.join() === names.join();
   live = true;
   Object.assign(shows[0], { layers: names, checkpoints, splats: at.splats });
@@ -12,6 +13,13 @@ function news({ layers: names, checkpoints, training: at, history }) {
   trained = at.step;
   version++;
   for (const side of ["a", "b"]) if (state[side][0] === 0 && state[side][2] < 0) sides[side].is = Math.min(sides[side].is, COARSE);
+}
+// A frame of a live film.
+function arrived({ splats }) {
+  live = arriving = true;
+  shows[0].splats = splats;
+  version++;
+  for (const side of ["a", "b"]) if (state[side][0] === 0) sides[side].is = Math.min(sides[side].is, COARSE);
 }
 function curves(history) {
   const curve = (name, k, log) => {

@@ -18,6 +18,7 @@ pub mod init;
 pub mod inspect;
 pub mod jobs;
 pub mod lab;
+pub mod live;
 pub mod methods;
 mod player;
 pub mod pose;

@@ -13,7 +13,8 @@ use gs4d_view::{Feed, Options, Packing, REQUEST_TIME, Server, Show, Stage, ViewE
 use serde_json::json;
 use std::net::{IpAddr, Ipv4Addr};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::Ordering;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// Look at runs and splat files in a browser: orbit, scrub time, compare, pick
@@ -22,6 +23,15 @@ pub struct View {
     /// Run folders, .gs4d files or splat files; the first is shown, the others can be compared with it.
     #[arg(value_name = "RUN|SCENE", required = true)]
     scenes: Vec<PathBuf>,
+    #[command(flatten)]
+    serving: Serving,
+    #[command(flatten)]
+    place: RunData,
+}
+
+/// Flags of verbs that end when they are told to: the viewer's server.
+#[derive(clap::Args)]
+pub struct Serving {
     /// Port; if it is taken, one of the next twenty.
     #[arg(long, default_value_t = 7007)]
     port: u16,
@@ -36,14 +46,19 @@ pub struct View {
     seconds: Option<u64>,
     #[command(flatten)]
     device: DeviceFlag,
-    #[command(flatten)]
-    place: RunData,
 }
 
-impl View {
-    pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+/// A server and when it ends.
+pub struct Served {
+    pub server: Server,
+    stop: Arc<AtomicBool>,
+    until: Option<Instant>,
+}
+
+impl Serving {
+    /// Starts the server and prints its address.
+    pub fn start(&self, shows: Vec<Show>, global: &Global) -> Result<Served, Failure> {
         let device = self.device.open(global)?;
-        let shows = self.scenes.iter().map(|p| self.show(p, global)).collect::<Result<Vec<_>, _>>()?;
         let packing = if self.remote { Packing::Jpeg } else { Packing::Png };
         let (host, port) = (self.host, self.port);
         let options = Options { host, port, packing, share: None, request_time: REQUEST_TIME, device };
@@ -53,13 +68,26 @@ impl View {
         }
         announce(&server, global);
         global.say("       Ctrl-C ends it");
-        let stop = interrupt::flag()?;
-        let begun = Instant::now();
-        let over = |s: u64| begun.elapsed() >= Duration::from_secs(s);
-        while !stop.load(Ordering::SeqCst) && !self.seconds.is_some_and(over) {
+        let until = self.seconds.and_then(|s| Instant::now().checked_add(Duration::from_secs(s)));
+        Ok(Served { server, stop: interrupt::flag()?, until })
+    }
+}
+
+impl Served {
+    /// Whether nobody has ended it and its time is not over.
+    pub fn goes_on(&self) -> bool {
+        !self.stop.load(Ordering::SeqCst) && self.until.is_none_or(|until| Instant::now() < until)
+    }
+}
+
+impl View {
+    pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+        let shows = self.scenes.iter().map(|p| self.show(p, global)).collect::<Result<Vec<_>, _>>()?;
+        let served = self.serving.start(shows, global)?;
+        while served.goes_on() {
             std::thread::sleep(Duration::from_millis(50));
         }
-        Ok(Answer::new(String::new(), json!({"url": server.url})))
+        Ok(Answer::new(String::new(), json!({"url": served.server.url})))
     }
 
     fn show(&self, path: &Path, global: &Global) -> Result<Show, Failure> {
@@ -131,7 +159,7 @@ impl Watch {
 }
 
 /// The last part of a path.
-fn name_of(path: &Path) -> String {
+pub fn name_of(path: &Path) -> String {
     path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned())
 }
 

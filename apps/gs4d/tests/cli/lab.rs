@@ -124,6 +124,16 @@ fn a_run_brings_its_film() {
     let table = good(&[&["bench", text(&run)][..], &stages].concat()).out;
     assert!(table.contains("second texture") && table.contains("frames a second"), "{table}");
     gs4d(&["bench", text(dir.path())]).fails(3, &["no run folder"]);
+    // The same film, as if it arrived now.
+    let live = ["live", text(&run), text(&film), "--port", "18500"];
+    let call = good(&[&live[..], &["--film-poses", "--frames", "1", "--json"]].concat());
+    let shown = call.json();
+    assert_eq!((shown["frames"].as_u64(), shown["passed_over"].as_u64()), (Some(1), Some(3)));
+    assert!(number(&shown["latency_ms"], "splats") > 0.0 && call.err.contains("frame 3: "), "{shown} {}", call.err);
+    let none = good(&[&live[..], &["--seconds", "0", "--json"]].concat()).json();
+    assert_eq!((none["frames"].as_u64(), &none["latency_ms"]["median"]), (Some(0), &Value::Null));
+    gs4d(&["live", text(&run), "no-such-folder"]).fails(3, &["no-such-folder"]);
+    gs4d(&["live", text(crate::support::run()), text(&film)]).fails(2, &["fourdgs", "-m dut"]);
 }
 
 #[test]

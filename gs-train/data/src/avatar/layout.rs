@@ -30,6 +30,7 @@ use crate::mask;
 use crate::options::DataOptions;
 use crate::{Confidence, Dataset, ImageSource, Layout, View};
 
+mod arrivals;
 mod cameras;
 mod film;
 mod manifest;
@@ -37,6 +38,7 @@ pub(crate) mod points;
 mod poses;
 mod poses_bin;
 
+pub use arrivals::{Arrivals, ArrivedFrame, PosesFrom};
 pub use film::{Film, FilmFrame, FrameUse, Role, Shot, shot_name};
 
 use cameras::{Crops, FilmCamera};
@@ -71,7 +73,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let poses = poses::read(dir, &manifest, &character)?;
     let mut notes: Vec<String> =
         character.fallbacks.list().into_iter().map(|(what, n)| format!("template: {n} {what}")).collect();
-    let mut shots = Shots { root: &root, options, crops: &crops, notes: Vec::new(), opaque: 0, masked: 0 };
+    let mut shots = Shots::new(&root, options, &crops);
     let shots_of = shots.all(&manifest, &cameras)?;
     notes.append(&mut shots.notes);
     let has_alpha = shots.opaque == 0;
@@ -106,7 +108,11 @@ struct Shots<'a> {
     masked: usize,
 }
 
-impl Shots<'_> {
+impl<'a> Shots<'a> {
+    fn new(root: &'a Root, options: &'a DataOptions, crops: &'a Crops) -> Self {
+        Self { root, options, crops, notes: Vec::new(), opaque: 0, masked: 0 }
+    }
+
     /// Every image of the frames in `manifest.lists`, camera after camera.
     fn all(&mut self, manifest: &Manifest, cameras: &[FilmCamera]) -> Result<Vec<Shot>, DataError> {
         let mut missing = Vec::new();

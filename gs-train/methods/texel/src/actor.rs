@@ -6,6 +6,7 @@ use glam::{Affine3A, Vec3};
 use gs_core::{Camera, Image, Time};
 use gs_data::avatar::{AvatarFrame, AvatarScene};
 use gs_data::{DataError, ImageCache};
+use gs_texel::Pose;
 use gs_texel::gaussians::warm_up::WarmUpError;
 use gs_texel::gaussians::{BaseError, ChannelsError, TexelBase};
 use gs_texel::inpaint::{InpaintError, InpaintMethod, inpaint};
@@ -255,19 +256,19 @@ impl Actor {
         vertices + 16 * self.fine.len() + 24 * (self.geo.row.len() + self.gau.row.len()) + 160 * self.gau.len()
     }
 
-    /// Joints to vertices: what skinning needs of a frame.
-    pub fn pose(&self, frame: &AvatarFrame) -> Posed {
+    /// Joints to vertices: what skinning needs of a pose.
+    pub fn pose(&self, pose: &Pose) -> Posed {
         let character = &self.scene.character;
         let (t, skeleton) = (&character.template, &character.skeleton);
-        let joints = skeleton.skinning(&frame.pose);
+        let joints = skeleton.skinning(pose);
         let transforms = self.scene.skinning.blend(&t.weights, &joints);
         let turns = rotations(&t.weights, &joints, &transforms);
-        let canonical = t.morphed(&frame.pose.morphs);
+        let canonical = t.morphed(&pose.morphs);
         let kappas = match self.kappa {
             true => self.refine.kappas(&skin(&t.vertices, &transforms)),
             false => vec![1.0; canonical.len()],
         };
-        let back = skeleton.root_rotation(&frame.pose).transpose().as_mat3();
+        let back = skeleton.root_rotation(pose).transpose().as_mat3();
         let turned = |(n, m): (&Vec3, &Affine3A)| (m.matrix3 * *n).normalize_or_zero();
         let normals: Vec<Vec3> = self.rest_normals.iter().zip(&transforms).map(turned).collect();
         let root_free = normals.iter().map(|n| back * *n).collect();
@@ -307,7 +308,7 @@ impl Actor {
     /// # Errors
     /// As reading images and unprojecting them goes.
     pub fn first(&self, frame: &AvatarFrame) -> Result<First, FrameError> {
-        self.first_of(self.pose(frame), &self.images(frame)?)
+        self.first_of(self.pose(&frame.pose), &self.images(frame)?)
     }
 
     /// The same of a posed template and its images.
@@ -380,7 +381,7 @@ impl Actor {
         let mut means = tables.map(|t| Mean::new(t.map_or(0, TexelTable::len)));
         if tables.iter().any(Option::is_some) {
             for frame in self.mean_frames() {
-                let posed = self.pose(frame);
+                let posed = self.pose(&frame.pose);
                 let surface = match offsets(frame)? {
                     Some(offsets) => self.surface(&posed, &offsets),
                     None => skin(&posed.canonical, &posed.transforms),

@@ -30,7 +30,7 @@ pub use oracle::OracleOptions;
 use cache::Cache;
 use direct::Direct;
 use geometry::Geometry;
-use gs_core::{Camera, Param, Params, Rng, Splats, SplatsGrad, cast};
+use gs_core::{Camera, Image, Param, Params, Rng, Splats, SplatsGrad, cast};
 use gs_data::avatar::{AvatarFrame, AvatarScene};
 use gs_texel::Pose;
 use gs_texel::gaussians::{Channels, DecodeOptions, OFFSET, OPACITY, decode, decode_backward, offset_penalty};
@@ -390,11 +390,23 @@ impl Dut {
     /// If the images cannot be read or the pose does not fit.
     pub fn posed(&self, at: &Timestamp, pose: &Pose) -> Result<Splats, FrameError> {
         let (second, rows) = self.texels_at(at)?;
-        let frame = AvatarFrame { pose: pose.clone(), ..self.actor.frame_at(at.t).clone() };
-        let base = self.actor.base(&self.actor.pose(&frame), &second.offsets)?;
+        let base = self.actor.base(&self.actor.pose(pose), &second.offsets)?;
         let mut splats = decode(&rows, self.channels, &base, &self.decoding())?;
         light::put_on(&mut splats, second.light);
         Ok(splats)
+    }
+
+    /// The splats of a frame that is not of the film: from its pose and the images of the conditioning cameras, straight colours
+    /// and coverage. Nothing is kept.
+    ///
+    /// # Errors
+    /// If pose and images do not fit the person.
+    pub fn splats_of(&self, pose: &Pose, images: &[(Camera, Image)]) -> Result<Splats, FrameError> {
+        let first = self.actor.first_of(self.actor.pose(pose), images)?;
+        let second = self.actor.second_of(&first, self.offsets(&first)?, images)?;
+        let mut rows = Vec::new();
+        self.rows(&second, &mut rows)?;
+        self.decode(&rows, &second)
     }
 
     /// Makes the mean colours anew while GeoNet learns, if asked for.

@@ -106,7 +106,7 @@ mod tests {
         let config = gs_methods::registry().find("dut").unwrap().config("tiny").unwrap();
         let actor = Actor::new(scene.clone(), &own_settings(config).try_into::<Config>().unwrap()).unwrap();
         let (frame, mean) = (&scene.frames[0], MeanTextures::rows(&actor.mean.gau));
-        let (posed, images) = (actor.pose(frame), actor.images(frame).unwrap());
+        let (posed, images) = (actor.pose(&frame.pose), actor.images(frame).unwrap());
         let still = skin(&posed.canonical, &posed.transforms);
         let turned = |angle: f32| -> Vec<Vec3> { still.iter().map(|p| Mat3::from_rotation_y(angle) * *p).collect() };
         let loss = |angle: f32| texture_loss(&actor, &turned(angle), &images, mean).unwrap();

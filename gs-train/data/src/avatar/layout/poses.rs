@@ -34,10 +34,7 @@ pub(super) fn read(dir: &Path, manifest: &Manifest, character: &Character) -> Re
     }
     let text = if file.is_file() { read_text(file, MAX_BYTES)? } else { "{}".into() };
     let text = quote_non_finite(&text);
-    let broken = |e: serde_json::Error| {
-        DataError::syntax(file, format!("line {}, column {}", e.line(), e.column()), e.to_string())
-    };
-    let written: BTreeMap<String, &RawValue> = serde_json::from_str(&text).map_err(broken)?;
+    let written: BTreeMap<String, &RawValue> = serde_json::from_str(&text).map_err(|e| broken(file, &e))?;
     let nothing = Map::new();
     let top = Fields::new(file, "", &nothing);
     let mut by_number = BTreeMap::new();
@@ -56,6 +53,22 @@ pub(super) fn read(dir: &Path, manifest: &Manifest, character: &Character) -> Re
         Ok(manifest.known(character, pose))
     };
     manifest.lists.iter().map(pose).collect()
+}
+
+/// The pose in a file of one frame, where it replaces values of `pose`.
+///
+/// # Errors
+/// As for a frame of `poses.json`.
+pub(super) fn read_one(file: &Path, mut pose: Pose, character: &Character) -> Result<Pose, DataError> {
+    let text = read_text(file, MAX_FRAME_BYTES as u64)?;
+    let text = quote_non_finite(&text);
+    let raw: &RawValue = serde_json::from_str(&text).map_err(|e| broken(file, &e))?;
+    amend(&mut pose, file, "", raw, character)?;
+    Ok(pose)
+}
+
+fn broken(file: &Path, e: &serde_json::Error) -> DataError {
+    DataError::syntax(file, format!("line {}, column {}", e.line(), e.column()), e.to_string())
 }
 
 /// Replaces the values of a pose that its frame states.

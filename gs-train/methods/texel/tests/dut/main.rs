@@ -241,7 +241,7 @@ fn a_light_that_is_followed_changes_colours_alone() {
             (camera.clone(), image)
         })
         .collect();
-    let of = |images: &[_]| actor.first_of(actor.pose(frame), images).expect("first");
+    let of = |images: &[_]| actor.first_of(actor.pose(&frame.pose), images).expect("first");
     let [own, other] = [of(&images), of(&lit)];
     for (gain, (own, other)) in gain.into_iter().zip(own.light.into_iter().zip(other.light)) {
         assert!((own - 1.0).abs() < 0.05, "the light of the recording: {own}");
@@ -258,6 +258,29 @@ fn a_light_that_is_followed_changes_colours_alone() {
     for (k, (a, b)) in own.iter().zip(&other).enumerate() {
         let [a, b] = [a, b].map(|s| 0.5 + c0 * s);
         assert!((gain[k % 3] * a - b).abs() < 1e-4, "Gaussians are lit: {k} {a} {b}");
+    }
+}
+
+#[test]
+fn a_frame_of_its_own_images_is_that_of_the_film() {
+    let data = film("person", 32, 3);
+    for over in [
+        &[SHORT][..],
+        &[SHORT, "follow_light = true"],
+        &[SHORT, "input = \"single\"", "schedule.stages.geometry.steps = 0"],
+    ] {
+        let method = bare(&data, &config(over), 15);
+        let actor = method.actor();
+        for frame in &actor.scene.frames {
+            let images = actor.images(frame).expect("images");
+            let made = method.splats_of(&frame.pose, &images).expect("splats");
+            let camera = &frame.inputs[0].camera;
+            assert_eq!(made, method.splats(&Timestamp { t: frame.time }, camera).expect("splats"));
+        }
+        let frames = &actor.scene.frames;
+        let images = actor.images(&frames[0]).expect("images");
+        let other = method.splats_of(&frames[2].pose, &images).expect("splats");
+        assert_ne!(other, method.splats_of(&frames[0].pose, &images).expect("splats"), "the pose counts");
     }
 }
 
