@@ -7,9 +7,12 @@
 
 mod fit;
 mod player;
+mod rigid;
 
 pub use player::{evaluate_clip, frame_times};
+pub use rigid::{RigidScene, evaluate_rigid};
 
+use crate::segment::SegmentError;
 use fit::Fit;
 use glam::DVec3;
 use gs_core::io::{IoError, Limits, RawSplats, SplatFormat, load_splats, parse_splats, write_splats};
@@ -52,6 +55,9 @@ pub enum ExportError {
     /// The scene cannot become a clip.
     #[error(transparent)]
     Player(#[from] PlayerError),
+    /// Rigid parts cannot be told.
+    #[error("no rigid parts: {0}")]
+    Parts(#[source] Box<SegmentError>),
     /// No splat is visible at this time.
     #[error("the scene has no visible splat at time {time}")]
     Empty {

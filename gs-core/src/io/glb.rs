@@ -4,35 +4,59 @@
 //! coefficients are one attribute each, with the signs of [`crate::sh`]. glTF's axes are left, up, front: x and y of `.ply`
 //! files change sign on the way in and out. `COLOR_0` holds degree 0 for viewers that render points.
 //!
-//! The reader takes the first primitive with the extension, from the file's own binary chunk, attributes `f32`. Node
-//! transforms are not applied; other glTF features need a glTF library.
+//! A scene of rigid parts in motion ([`write_parts`]) has a node for each, and one animation of their translations and rotations,
+//! linear between key frames.
+//!
+//! Readers take every primitive with the extension, from the file's own binary chunk, attributes `f32`, under the transforms of its
+//! nodes: rotations, translations and equal scales, at rest or moved by the first animation ([`GlbScene::at`]). [`read()`] gives the
+//! scene at the beginning. Other glTF features need a glTF library.
 
-use super::error::{At, Source};
-use super::raw::{finite_logit, log_scale};
-use super::{IoError, Limits, RawSplats, sigmoid};
+pub use super::glb_read::{read, read_scene};
+pub use super::glb_scene::GlbScene;
+use super::{RawSplats, sigmoid};
 use crate::{rot, sh};
 use glam::Vec3;
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 use std::io::Write;
 
-const MAGIC: &[u8; 4] = b"glTF";
-const JSON_CHUNK: u32 = 0x4E4F_534A;
-const BINARY_CHUNK: u32 = 0x004E_4942;
-const EXTENSION: &str = "KHR_gaussian_splatting";
+pub(super) const MAGIC: &[u8; 4] = b"glTF";
+pub(super) const JSON_CHUNK: u32 = 0x4E4F_534A;
+pub(super) const BINARY_CHUNK: u32 = 0x004E_4942;
+pub(super) const EXTENSION: &str = "KHR_gaussian_splatting";
 /// Axes whose signs differ between `.ply` and glTF.
-const FLIPPED: [bool; 3] = [true, true, false];
+pub(super) const FLIPPED: [bool; 3] = [true, true, false];
 /// glTF's component type of `f32`.
-const FLOAT: u64 = 5126;
+pub(super) const FLOAT: u64 = 5126;
 const POINTS: u64 = 0;
 
 /// Name of an attribute of the extension.
-fn own(name: &str) -> String {
+pub(super) fn own(name: &str) -> String {
     format!("{EXTENSION}:{name}")
 }
 
 /// Names of the SH attributes of a degree, in the order of [`RawSplats::sh`].
-fn sh_names(degree: u8) -> impl Iterator<Item = String> {
+pub(super) fn sh_names(degree: u8) -> impl Iterator<Item = String> {
     (0..=degree).flat_map(|l| (0..=2 * l).map(move |k| own(&format!("SH_DEGREE_{l}_COEF_{k}"))))
+}
+
+/// Splats that move as one rigid body.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RigidPart {
+    /// The splats before the motion, in the axes of `.ply` files.
+    pub splats: RawSplats,
+    /// How they move.
+    pub motion: RigidMotion,
+}
+
+/// Key frames of a rigid motion `p ↦ R p + t`, in the axes of `.ply` files; without any it rests.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RigidMotion {
+    /// Times, seconds from 0 on, ascending.
+    pub times: Vec<f32>,
+    /// `t` at each, world units.
+    pub translations: Vec<Vec3>,
+    /// `R` at each, unit quaternions `(w, x, y, z)`, neighbours on the same half of the sphere.
+    pub rotations: Vec<[f32; 4]>,
 }
 
 /// One vertex attribute to write.
@@ -68,42 +92,103 @@ fn attributes(splats: &RawSplats) -> Vec<Attribute> {
     out
 }
 
-/// The content of the JSON chunk.
-fn document(splats: &RawSplats, attributes: &[Attribute]) -> Value {
-    let (mut views, mut accessors, mut named, mut at) = (Vec::new(), Vec::new(), serde_json::Map::new(), 0);
-    for (k, attribute) in attributes.iter().enumerate() {
-        let bytes = attribute.values.len() * 4;
-        views.push(json!({"buffer": 0, "byteOffset": at, "byteLength": bytes, "target": 34962}));
-        let kind = match attribute.width {
+/// A file under construction.
+#[derive(Default)]
+struct File {
+    views: Vec<Value>,
+    accessors: Vec<Value>,
+    columns: Vec<Vec<f32>>,
+    bytes: usize,
+}
+
+impl File {
+    /// Adds a column of rows of `width` values; its accessor. `vertex`: it is a vertex attribute.
+    fn add(&mut self, values: Vec<f32>, width: usize, vertex: bool) -> usize {
+        let length = values.len() * 4;
+        let mut view = json!({"buffer": 0, "byteOffset": self.bytes, "byteLength": length});
+        if let Some(view) = view.as_object_mut().filter(|_| vertex) {
+            view.insert("target".into(), json!(34962));
+        }
+        let kind = match width {
             1 => "SCALAR",
             3 => "VEC3",
             _ => "VEC4",
         };
-        accessors.push(json!({"bufferView": k, "componentType": FLOAT, "count": splats.len(), "type": kind}));
-        named.insert(attribute.name.clone(), json!(k));
-        at += bytes;
+        let count = values.len() / width.max(1);
+        self.views.push(view);
+        self.accessors
+            .push(json!({"bufferView": self.accessors.len(), "componentType": FLOAT, "count": count, "type": kind}));
+        self.bytes += length;
+        self.columns.push(values);
+        self.accessors.len() - 1
     }
-    // glTF requires the bounds of positions.
-    let bound = |f: fn(Vec3, Vec3) -> Vec3| splats.means.iter().copied().reduce(f).unwrap_or_default().to_array();
-    if let Some(position) = accessors.first_mut().and_then(Value::as_object_mut) {
-        position.insert("min".into(), json!(bound(Vec3::min)));
-        position.insert("max".into(), json!(bound(Vec3::max)));
+
+    /// States the bounds of an accessor, which glTF requires of positions and times.
+    fn bound(&mut self, accessor: usize, min: Value, max: Value) {
+        if let Some(entry) = self.accessors.get_mut(accessor).and_then(Value::as_object_mut) {
+            entry.insert("min".into(), min);
+            entry.insert("max".into(), max);
+        }
     }
-    let extension = json!({
-        "kernel": "ellipse", "colorSpace": "srgb_rec709_display",
-        "projection": "perspective", "sortingMethod": "cameraDistance",
-    });
-    json!({
-        "asset": {"version": "2.0", "generator": "gs4d"},
-        "extensionsUsed": [EXTENSION],
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"mode": POINTS, "attributes": named, "extensions": {EXTENSION: extension}}]}],
-        "buffers": [{"byteLength": at}],
-        "bufferViews": views,
-        "accessors": accessors,
-    })
+
+    /// A mesh of one primitive.
+    fn mesh(&mut self, splats: &RawSplats) -> Value {
+        let turned = splats.clone().flipped(FLIPPED);
+        let mut named = Map::new();
+        for Attribute { name, width, values } in attributes(&turned) {
+            named.insert(name, json!(self.add(values, width, true)));
+        }
+        let bound = |f: fn(Vec3, Vec3) -> Vec3| turned.means.iter().copied().reduce(f).unwrap_or_default().to_array();
+        if let Some(position) = named.get("POSITION").and_then(Value::as_u64) {
+            self.bound(position as usize, json!(bound(Vec3::min)), json!(bound(Vec3::max)));
+        }
+        let extension = json!({
+            "kernel": "ellipse", "colorSpace": "srgb_rec709_display",
+            "projection": "perspective", "sortingMethod": "cameraDistance",
+        });
+        json!({"primitives": [{"mode": POINTS, "attributes": named, "extensions": {EXTENSION: extension}}]})
+    }
+
+    /// Samplers of translation and rotation of a motion, and the channels of `node` that they move.
+    fn animate(&mut self, motion: &RigidMotion, node: usize, samplers: &mut Vec<Value>, channels: &mut Vec<Value>) {
+        let [fx, fy, fz] = FLIPPED.map(|f| if f { -1.0f32 } else { 1.0 });
+        let times = self.add(motion.times.clone(), 1, false);
+        let ends = [motion.times.first(), motion.times.last()].map(|t| json!([t.copied().unwrap_or_default()]));
+        let [first, last] = ends;
+        self.bound(times, first, last);
+        let moved = motion.translations.iter().flat_map(|t| [fx * t.x, fy * t.y, fz * t.z]).collect();
+        let turned = motion.rotations.iter().flat_map(|[w, x, y, z]| [fy * fz * x, fx * fz * y, fx * fy * z, *w]);
+        let turned = turned.collect();
+        for (path, width, values) in [("translation", 3, moved), ("rotation", 4, turned)] {
+            let output = self.add(values, width, false);
+            channels.push(json!({"sampler": samplers.len(), "target": {"node": node, "path": path}}));
+            samplers.push(json!({"input": times, "output": output, "interpolation": "LINEAR"}));
+        }
+    }
+}
+
+fn invalid(text: impl Into<String>) -> std::io::Error {
+    std::io::Error::new(std::io::ErrorKind::InvalidInput, text.into())
+}
+
+fn check(splats: &RawSplats, motion: &RigidMotion) -> std::io::Result<()> {
+    splats.check_shape().map_err(|e| invalid(e.to_string()))?;
+    splats.refuse_kernel("binary glTF")?;
+    if splats.is_empty() {
+        return Err(invalid("glTF cannot store a scene without splats"));
+    }
+    if let Some((row, column)) = splats.non_finite_rows().first() {
+        return Err(invalid(format!("row {row}, `{column}` is not finite")));
+    }
+    let RigidMotion { times, translations, rotations } = motion;
+    let keys = times.len();
+    let ascending = times.first().is_none_or(|t| *t >= 0.0) && times.is_sorted_by(|a, b| a < b);
+    let finite = times.iter().chain(rotations.as_flattened()).all(|v| v.is_finite())
+        && translations.iter().all(|t| t.is_finite());
+    match translations.len() == keys && rotations.len() == keys && ascending && finite {
+        true => Ok(()),
+        false => Err(invalid("key frames have ascending times from 0 on, one finite translation and rotation each")),
+    }
 }
 
 /// Writes splats as binary glTF with the extension.
@@ -112,190 +197,70 @@ fn document(splats: &RawSplats, attributes: &[Attribute]) -> Value {
 /// No splats, columns of unequal length, another kernel than the Gaussian, a value that is not finite, more than 4 GiB (as `InvalidInput`),
 /// or the writer's own.
 pub fn write(splats: &RawSplats, out: &mut dyn Write) -> std::io::Result<()> {
-    let invalid = |text: String| std::io::Error::new(std::io::ErrorKind::InvalidInput, text);
-    splats.check_shape().map_err(|e| invalid(e.to_string()))?;
-    splats.refuse_kernel("binary glTF")?;
-    if splats.is_empty() {
-        return Err(invalid("glTF cannot store a scene without splats".into()));
+    write_pieces(&[(splats, &RigidMotion::default())], out)
+}
+
+/// Writes rigid parts in motion: a node for each part, and an animation if any has key frames.
+///
+/// # Errors
+/// As [`write()`] for each part; key frames of unequal number, not ascending or not finite; no parts.
+pub fn write_parts(parts: &[RigidPart], out: &mut dyn Write) -> std::io::Result<()> {
+    let pieces: Vec<_> = parts.iter().map(|p| (&p.splats, &p.motion)).collect();
+    write_pieces(&pieces, out)
+}
+
+fn write_pieces(pieces: &[(&RawSplats, &RigidMotion)], out: &mut dyn Write) -> std::io::Result<()> {
+    if pieces.is_empty() {
+        return Err(invalid("glTF cannot store a scene without splats"));
     }
-    if let Some((row, column)) = splats.non_finite_rows().first() {
-        return Err(invalid(format!("row {row}, `{column}` is not finite")));
+    let (mut file, mut samplers, mut channels) = (File::default(), Vec::new(), Vec::new());
+    let mut meshes = Vec::new();
+    for (node, (splats, motion)) in pieces.iter().enumerate() {
+        check(splats, motion)?;
+        meshes.push(file.mesh(splats));
+        if !motion.times.is_empty() {
+            file.animate(motion, node, &mut samplers, &mut channels);
+        }
     }
-    let turned = splats.clone().flipped(FLIPPED);
-    let attributes = attributes(&turned);
-    let mut text = serde_json::to_vec(&document(&turned, &attributes))?;
+    let nodes = 0..meshes.len();
+    let mut document = json!({
+        "asset": {"version": "2.0", "generator": "gs4d"},
+        "extensionsUsed": [EXTENSION],
+        "scene": 0,
+        "scenes": [{"nodes": nodes.clone().collect::<Vec<_>>()}],
+        "nodes": nodes.map(|k| json!({"mesh": k})).collect::<Vec<_>>(),
+        "meshes": meshes,
+        "buffers": [{"byteLength": file.bytes}],
+        "bufferViews": file.views,
+        "accessors": file.accessors,
+    });
+    if let Some(document) = document.as_object_mut().filter(|_| !channels.is_empty()) {
+        let motion = json!({"name": "motion", "samplers": samplers, "channels": channels});
+        document.insert("animations".into(), json!([motion]));
+    }
+    let mut text = serde_json::to_vec(&document)?;
     text.resize(text.len().next_multiple_of(4), b' ');
-    let binary: usize = attributes.iter().map(|a| a.values.len() * 4).sum();
-    let size = |n: usize| u32::try_from(n).map_err(|_| invalid("more than 4 GiB".into()));
+    let size = |n: usize| u32::try_from(n).map_err(|_| invalid("more than 4 GiB"));
     out.write_all(MAGIC)?;
-    for word in [2, size(12 + 16 + text.len() + binary)?, size(text.len())?, JSON_CHUNK] {
+    for word in [2, size(12 + 16 + text.len() + file.bytes)?, size(text.len())?, JSON_CHUNK] {
         out.write_all(&word.to_le_bytes())?;
     }
     out.write_all(&text)?;
-    out.write_all(&size(binary)?.to_le_bytes())?;
+    out.write_all(&size(file.bytes)?.to_le_bytes())?;
     out.write_all(&BINARY_CHUNK.to_le_bytes())?;
-    for attribute in &attributes {
-        let bytes: Vec<u8> = attribute.values.iter().flat_map(|v| v.to_le_bytes()).collect();
+    for column in &file.columns {
+        let bytes: Vec<u8> = column.iter().flat_map(|v| v.to_le_bytes()).collect();
         out.write_all(&bytes)?;
     }
     Ok(())
 }
 
-/// The JSON and the binary chunk of a file.
-fn chunks<'a>(bytes: &'a [u8], src: Source<'_>) -> Result<(&'a [u8], &'a [u8]), IoError> {
-    let word = |at: usize| -> Result<u64, IoError> {
-        let found = bytes.get(at..).and_then(|b| b.first_chunk::<4>());
-        found.map(|b| u64::from(u32::from_le_bytes(*b))).ok_or_else(|| src.truncated("a header", at, 4, bytes.len()))
-    };
-    if !bytes.starts_with(MAGIC) || word(4)? != 2 {
-        return Err(src.malformed(At::Byte(0), "no glTF 2 header", "give a .glb file of version 2"));
-    }
-    let chunk = |at: usize, kind: u32, name: &'static str| -> Result<(&'a [u8], usize), IoError> {
-        let (length, found) = (word(at)?, word(at + 4)?);
-        if found != u64::from(kind) {
-            return Err(src.malformed(At::Byte(at as u64), format!("no chunk `{name}`"), "write the file again"));
-        }
-        let length = usize::try_from(length).unwrap_or(usize::MAX);
-        let end = (at + 8).saturating_add(length);
-        let content = bytes.get(at + 8..end);
-        Ok((content.ok_or_else(|| src.truncated(name, at + 8, length as u64, bytes.len()))?, end))
-    };
-    let (text, next) = chunk(12, JSON_CHUNK, "JSON")?;
-    Ok((text, chunk(next, BINARY_CHUNK, "BIN")?.0))
-}
-
-/// Resolves the accessors of a document.
-struct Reader<'a> {
-    document: Value,
-    binary: &'a [u8],
-    src: Source<'a>,
-}
-
-impl Reader<'_> {
-    fn list<'v>(&'v self, name: &'static str, index: u64) -> Result<&'v Value, IoError> {
-        let entry = usize::try_from(index).ok().and_then(|i| self.document.get(name)?.get(i));
-        entry.ok_or_else(|| self.src.missing(At::Byte(0), format!("{name}[{index}]"), "write the file again"))
-    }
-
-    /// The first primitive with the extension.
-    fn primitive(&self) -> Result<&Value, IoError> {
-        let meshes = self.document.get("meshes").and_then(Value::as_array).into_iter().flatten();
-        let mut primitives = meshes.filter_map(|m| m.get("primitives")?.as_array()).flatten();
-        let splats = primitives.find(|p| p.get("extensions").is_some_and(|e| e.get(EXTENSION).is_some()));
-        let splats =
-            splats.ok_or_else(|| self.src.unsupported("a glTF file without Gaussian splats", "give splats"))?;
-        let kernel = splats.pointer(&format!("/extensions/{EXTENSION}/kernel")).and_then(Value::as_str);
-        if kernel.is_some_and(|k| k != "ellipse") {
-            return Err(self.src.unsupported(format!("the kernel {kernel:?}"), "export with the kernel `ellipse`"));
-        }
-        let inner = splats.pointer(&format!("/extensions/{EXTENSION}/extensions"));
-        match inner.and_then(Value::as_object).and_then(|e| e.keys().next()) {
-            Some(name) => Err(self.src.unsupported(format!("the extension `{name}`"), "export without compression")),
-            None => Ok(splats),
-        }
-    }
-
-    /// `count` and values `[count, width]` of an attribute; `None` if it is absent.
-    fn column(&self, primitive: &Value, name: &str, width: usize) -> Result<Option<(u64, Vec<f32>)>, IoError> {
-        let Some(index) = primitive.pointer("/attributes").and_then(|a| a.get(name)?.as_u64()) else { return Ok(None) };
-        let accessor = self.list("accessors", index)?;
-        let number = |v: &Value, field: &str| v.get(field).and_then(Value::as_u64).unwrap_or(0);
-        let components = match accessor.get("type").and_then(Value::as_str) {
-            Some("SCALAR") => 1,
-            Some("VEC3") => 3,
-            Some("VEC4") => 4,
-            _ => 0,
-        };
-        if number(accessor, "componentType") != FLOAT || components != width || accessor.get("sparse").is_some() {
-            let what = format!("`{name}` in another form than {width} plain f32");
-            return Err(self.src.unsupported(what, "export without quantisation"));
-        }
-        let view = self.list("bufferViews", number(accessor, "bufferView"))?;
-        if number(view, "buffer") != 0 {
-            return Err(self.src.unsupported("a second buffer", "pack everything into the .glb"));
-        }
-        let (count, row) = (number(accessor, "count"), 4 * width as u64);
-        let stride = view.get("byteStride").and_then(Value::as_u64).unwrap_or(row).max(row);
-        let within = number(accessor, "byteOffset");
-        let need = count.saturating_sub(1).saturating_mul(stride).saturating_add(row).saturating_add(within);
-        let start = number(view, "byteOffset");
-        let bytes = usize::try_from(start).ok().and_then(|s| self.binary.get(s..)).unwrap_or_default();
-        if count > 0 && need > number(view, "byteLength").min(bytes.len() as u64) {
-            return Err(self.src.truncated(name, 0, start.saturating_add(need), self.binary.len()));
-        }
-        // From here on everything lies inside the bytes present.
-        let mut values = Vec::with_capacity(count as usize * width);
-        for k in 0..count as usize {
-            let at = within as usize + k * stride as usize;
-            let row = bytes.get(at..at + row as usize).unwrap_or_default();
-            values.extend(row.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)));
-        }
-        Ok(Some((count, values)))
-    }
-
-    /// As [`Self::column`] for a required attribute of `count` rows.
-    fn needed(&self, primitive: &Value, name: &str, width: usize, count: u64) -> Result<Vec<f32>, IoError> {
-        match self.column(primitive, name, width)? {
-            Some((n, values)) if n == count => Ok(values),
-            Some((n, _)) => {
-                let what = format!("`{name}` has {n} rows, POSITION {count}");
-                Err(self.src.malformed(At::Byte(0), what, "write the file again"))
-            }
-            None => Err(self.src.missing(At::Byte(0), name, "the extension requires it; export again")),
-        }
-    }
-}
-
-/// Reads splats of a binary glTF file.
-///
-/// # Errors
-/// Bytes that are no such file, attributes that are missing, of unequal length, quantised or compressed, values outside
-/// their domain or not finite.
-pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<RawSplats, IoError> {
-    let src = Source { file, format: "glTF" };
-    let (text, binary) = chunks(bytes, src)?;
-    let parsed = serde_json::from_slice(text);
-    let document = parsed.map_err(|e| src.malformed(At::Byte(20), e.to_string(), "write the file again"))?;
-    let reader = Reader { document, binary, src };
-    let primitive = reader.primitive()?;
-    let position = reader.column(primitive, "POSITION", 3)?;
-    let (count, means) = position.ok_or_else(|| src.missing(At::Byte(0), "POSITION", "export again"))?;
-    let degree = degree(primitive);
-    let rows = limits.splats(src, count, RawSplats::row_bytes(degree))?;
-    let mut out = RawSplats::with_capacity(rows, degree);
-    let vec3 = |values: &[f32]| values.as_chunks::<3>().0.iter().map(|v| Vec3::from_array(*v)).collect::<Vec<_>>();
-    out.means = vec3(&means);
-    let quats = reader.needed(primitive, &own("ROTATION"), 4, count)?;
-    out.quats = quats.as_chunks::<4>().0.iter().map(|&[x, y, z, w]| [w, x, y, z]).collect();
-    let scales = vec3(&reader.needed(primitive, &own("SCALE"), 3, count)?);
-    if let Some(row) = scales.iter().position(|s| s.min_element() < 0.0) {
-        let value = scales.get(row).map_or(0.0, |s| s.min_element());
-        return Err(src.value(row, "SCALE", f64::from(value), "a linear scale must not be negative"));
-    }
-    out.log_scales = scales.iter().map(|s| Vec3::from_array(s.to_array().map(log_scale))).collect();
-    let opacities = reader.needed(primitive, &own("OPACITY"), 1, count)?;
-    if let Some((row, value)) = opacities.iter().enumerate().find(|(_, o)| !(0.0..=1.0).contains(*o)) {
-        return Err(src.value(row, "OPACITY", f64::from(*value), "an opacity is between 0 and 1"));
-    }
-    out.logit_opacities = opacities.iter().map(|&o| finite_logit(o)).collect();
-    let names: Vec<String> = sh_names(degree).collect();
-    let columns = names.iter().map(|n| reader.needed(primitive, n, 3, count)).collect::<Result<Vec<_>, _>>()?;
-    out.sh = (0..rows).flat_map(|r| columns.iter().flat_map(move |c| c.iter().skip(3 * r).take(3).copied())).collect();
-    out.refuse_non_finite(src, limits)?;
-    Ok(out.flipped(FLIPPED))
-}
-
-/// The largest degree whose first coefficient is present, at most 3; missing lower ones are an error when read.
-fn degree(primitive: &Value) -> u8 {
-    let has = |l: &u8| {
-        primitive.pointer("/attributes").is_some_and(|a| a.get(own(&format!("SH_DEGREE_{l}_COEF_0"))).is_some())
-    };
-    (1..=sh::MAX_DEGREE).rev().find(has).unwrap_or(0)
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::error::Source;
+    use super::super::glb_read::chunks;
     use super::super::raw::tests::cloud;
+    use super::super::{IoError, Limits};
     use super::*;
     use crate::rng::Rng;
 
@@ -325,6 +290,121 @@ mod tests {
             for (a, b) in again.logit_opacities.iter().zip(&raw.logit_opacities) {
                 assert!((sigmoid(*a) - sigmoid(*b)).abs() < 1e-6);
             }
+        }
+    }
+
+    /// The matrix of a unit quaternion, by rows.
+    fn turn(q: [f32; 4]) -> crate::rot::Mat3<f64> {
+        rot::matrix(q.map(f64::from))
+    }
+
+    #[test]
+    fn parts_move_between_their_key_frames() {
+        let half = std::f32::consts::FRAC_1_SQRT_2;
+        let motion = RigidMotion {
+            times: vec![0.5, 1.5, 2.0],
+            translations: vec![Vec3::ZERO, Vec3::new(1.0, -2.0, 3.0), Vec3::new(1.0, 0.0, 0.0)],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0], [half, half, 0.0, 0.0], [0.0, 0.0, 0.6, 0.8]],
+        };
+        let (still, moving) = (cloud(7, 1, 1), cloud(5, 2, 2));
+        let parts = [
+            RigidPart { splats: still.clone(), ..RigidPart::default() },
+            RigidPart { splats: moving.clone(), motion: motion.clone() },
+        ];
+        let mut bytes = Vec::new();
+        write_parts(&parts, &mut bytes).unwrap();
+        let scene = read_scene(&bytes, "t.glb", &Limits::default()).unwrap();
+        assert_eq!(scene.duration(), 2.0);
+        let compare = |seconds: f32, rotation: [f32; 4], translation: Vec3| {
+            let got = scene.at(seconds);
+            assert_eq!((got.len(), got.degree), (12, 2));
+            assert_eq!(got.means[..7], still.means[..], "the first part rests");
+            assert_eq!(got.sh[..12], still.sh[..12], "and has no coefficients of degree 2:");
+            assert!(got.sh[12..27].iter().all(|v| *v == 0.0));
+            let want = moving.clone().mapped(&turn(rotation));
+            for (k, mean) in want.means.iter().enumerate() {
+                assert!((got.means[7 + k] - *mean - translation).length() < 1e-5, "{seconds}: {k}");
+                let same =
+                    got.quats[7 + k].iter().zip(rot::normalise(want.quats[k]).wxyz).map(|(a, b)| a * b).sum::<f32>();
+                assert!((same.abs() - 1.0).abs() < 1e-5, "{seconds}: {k}");
+            }
+            let sh = got.sh[7 * 27..].iter().zip(&want.sh).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            assert!(sh < 1e-5, "{seconds}: {sh}");
+        };
+        for k in 0..3 {
+            compare(motion.times[k], motion.rotations[k], motion.translations[k]);
+        }
+        compare(-7.0, motion.rotations[0], motion.translations[0]);
+        compare(9.0, motion.rotations[2], motion.translations[2]);
+        // Half-way: an eighth of a turn about x.
+        let (c, s) = ((std::f32::consts::PI / 8.0).cos(), (std::f32::consts::PI / 8.0).sin());
+        compare(1.0, [c, s, 0.0, 0.0], Vec3::new(0.5, -1.0, 1.5));
+        assert_eq!(read_all(&bytes).unwrap(), scene.at(0.0));
+    }
+
+    #[test]
+    fn nodes_place_their_splats() {
+        let raw = cloud(6, 1, 3);
+        let good = encode(&raw);
+        let placed = |nodes: Value| read_all(&edited(&good, |d| d["nodes"] = nodes.clone())).map_err(|e| e.to_string());
+        // glTF's x and y are those of .ply with the other sign.
+        let up =
+            placed(json!([{"children": [1], "translation": [0.0, 3.0, 0.0]}, {"mesh": 0, "scale": [2.0, 2.0, 2.0]}]))
+                .unwrap();
+        for (k, mean) in up.means.iter().enumerate() {
+            assert!((*mean - (2.0 * raw.means[k] - 3.0 * Vec3::Y)).length() < 1e-5);
+            assert!((up.log_scales[k] - raw.log_scales[k] - 2f32.ln()).abs().max_element() < 1e-5);
+        }
+        let matrix = [0.0, 2.0, 0.0, 0.0, -2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0, 0.0, 1.0, 0.0, 0.0, 1.0];
+        let turned = placed(json!([{"mesh": 0, "matrix": matrix}])).unwrap();
+        for (got, m) in turned.means.iter().zip(&raw.means) {
+            assert!((*got - Vec3::new(-2.0 * m.y - 1.0, 2.0 * m.x, 2.0 * m.z)).length() < 1e-5, "{got} {m}");
+        }
+        assert_eq!(placed(json!([{"mesh": 0}, {"mesh": 0}])).unwrap().len(), 12, "twice");
+        assert_eq!(placed(json!([])).unwrap(), read_all(&good).unwrap());
+        for (nodes, want) in [
+            (json!([{"mesh": 0, "scale": [1.0, 2.0, 1.0]}]), "unequally"),
+            (json!([{"mesh": 0, "scale": [-1.0, -1.0, -1.0]}]), "unequally"),
+            (json!([{"mesh": 0, "rotation": [0.0, 0.0, 0.0, 0.0]}]), "rotation"),
+            (json!([{"mesh": 0, "translation": [1.0]}]), "translation"),
+            (json!([{"mesh": 0, "children": [1]}, {"children": [0]}]), "in a ring"),
+        ] {
+            let error = placed(nodes).unwrap_err();
+            assert!(error.contains(want), "{error}");
+        }
+        // Many nodes of one mesh would make much of a small file.
+        let crowd: Vec<Value> = (0..100_000).map(|_| json!({"mesh": 0})).collect();
+        let many = edited(&encode(&cloud(60, 1, 3)), |d| d["nodes"] = json!(crowd));
+        assert!(matches!(read_all(&many), Err(IoError::Limit { .. })));
+    }
+
+    #[test]
+    fn key_frames_that_are_none_are_refused() {
+        let part = |times: &[f32], n: usize| RigidPart {
+            splats: cloud(3, 0, 1),
+            motion: RigidMotion {
+                times: times.to_vec(),
+                translations: vec![Vec3::ZERO; n],
+                rotations: vec![[1.0, 0.0, 0.0, 0.0]; n],
+            },
+        };
+        for wrong in [part(&[0.0, 0.0], 2), part(&[0.0, 1.0], 1), part(&[-1.0], 1), part(&[f32::NAN], 1)] {
+            assert!(write_parts(&[wrong], &mut Vec::new()).unwrap_err().to_string().contains("key frames"));
+        }
+        assert!(write_parts(&[], &mut Vec::new()).is_err());
+        let mut good = Vec::new();
+        write_parts(&[part(&[0.0, 1.0], 2)], &mut good).unwrap();
+        type Edit = fn(&mut Value);
+        let cases: [(Edit, &str); 5] = [
+            (|d| d["animations"][0]["samplers"][0]["interpolation"] = json!("CUBICSPLINE"), "CUBICSPLINE"),
+            (|d| d["animations"][0]["channels"][0]["target"]["path"] = json!("scale"), "animated scale"),
+            (|d| d["animations"][0]["channels"][1]["sampler"] = json!(9), "samplers"),
+            (|d| d["animations"][0]["samplers"][0]["output"] = json!(0), "key frames"),
+            (|d| d["animations"][0]["samplers"][0]["input"] = json!(1), "input"),
+        ];
+        for (k, (edit, want)) in cases.iter().enumerate() {
+            let text = read_all(&edited(&good, edit)).unwrap_err().to_string();
+            assert!(text.contains(want), "case {k}: {text}");
         }
     }
 

@@ -36,7 +36,7 @@
 //! | 3DGS `.ply` | yes | yes | exact, degree 0 to 3, all kernels |
 //! | `.splat` | yes | yes | degree 0, 8-bit colour and rotation, Gaussians only |
 //! | `.spz` 2, 3, 4 | yes | 2, 3 | quantised, Gaussians only; 1 and raw payloads are refused by name |
-//! | `.glb` | yes | yes | `KHR_gaussian_splatting`, exact, degree 0 to 3, Gaussians only |
+//! | `.glb` | yes | yes | `KHR_gaussian_splatting`, exact, degree 0 to 3, Gaussians only; rigid parts in motion, see [`glb`] |
 //! | `.sog` 2, or its `meta.json` | feature `images` | no | quantised, Gaussians only, see `sog` |
 //! | `.ksplat`, compressed `.ply`, `.sog` 1 | no | no | refused by name |
 //! | camera JSON | yes | yes | three layouts, see [`cameras`] |
@@ -58,6 +58,8 @@ mod error;
 pub mod exr;
 mod files;
 pub mod glb;
+mod glb_read;
+mod glb_scene;
 #[cfg(feature = "images")]
 pub mod images;
 mod limits;

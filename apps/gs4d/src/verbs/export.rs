@@ -2,6 +2,7 @@
 
 use super::compact::{BitsName, Compact};
 use super::eval::SplitName;
+use super::export_rigid::Rigid;
 use super::player::Player;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
@@ -52,6 +53,10 @@ pub struct Export {
     /// Of a page: how far a splat may be displaced, as a share of its standard deviation in the image of the nearest camera [default: 0.1].
     #[arg(long, value_name = "SHARE", value_parser = parse::positive)]
     tolerance: Option<f32>,
+    /// Of a .glb: keep the motion. The rigid parts that `gs4d segment` finds lie under animated nodes, with key frames at the training
+    /// times (at most 60) or at --times; what is not rigid in them is lost, and measured.
+    #[arg(long)]
+    rigid: bool,
     /// Views whose PSNR is measured before and after.
     #[arg(long, value_enum, default_value_t = SplitName::Test, conflicts_with = "no_eval")]
     split: SplitName,
@@ -136,6 +141,9 @@ impl Export {
         if self.is_named("html") {
             return self.play(global);
         }
+        if self.rigid {
+            return self.rigid_parts(global);
+        }
         if self.tolerance.is_some() {
             return Err(Failure::usage("--tolerance is of .html pages"));
         }
@@ -159,9 +167,9 @@ impl Export {
 
     /// A page that plays the scene.
     fn play(self, global: &Global) -> Result<Answer, Failure> {
-        if self.format.is_some() || self.bits.is_some() || self.up.is_some() || self.is_of_file() {
+        if self.format.is_some() || self.bits.is_some() || self.up.is_some() || self.rigid || self.is_of_file() {
             return Err(Failure::usage(
-                "a page plays a run, upright as its images are: without --format, --bits and --up",
+                "a page plays a run, upright as its images are: without --format, --bits, --up and --rigid",
             ));
         }
         check_free(self.force, "file", "name", [&self.out])?;
@@ -174,6 +182,27 @@ impl Export {
         Ok(answer)
     }
 
+    /// Rigid parts in motion.
+    fn rigid_parts(self, global: &Global) -> Result<Answer, Failure> {
+        if !self.is_named("glb")
+            || self.is_of_file()
+            || self.format.is_some()
+            || self.tolerance.is_some()
+            || self.bits.is_some()
+        {
+            let of = Failure::usage("--rigid writes one .glb file of a run: without --format, --tolerance and --bits");
+            return Err(of.remedy("give a run and -o NAME.glb"));
+        }
+        check_free(self.force, "file", "name", [&self.out])?;
+        let Self { scene: run, out, times, sh_degree, split, no_eval, force, place, max_error, up, .. } = self;
+        let times = times.map(|t| t.0);
+        let rigid = Rigid { run, out: out.clone(), times, sh_degree, split, no_eval, force, place };
+        let turn = |views: &[gs_data::View]| up.map(|up| up.turn(|| mean_up(views))).transpose();
+        let (answer, loss) = rigid.run(turn, global)?;
+        verdict(max_error, loss.as_ref(), &out, "-o NAME.html, which keeps every motion")?;
+        Ok(answer)
+    }
+
     fn whole(self, global: &Global) -> Result<Answer, Failure> {
         let of_files = [
             self.times.is_some(),
@@ -182,10 +211,11 @@ impl Export {
             self.max_error.is_some(),
             self.up.is_some(),
             self.tolerance.is_some(),
+            self.rigid,
         ];
         if of_files.contains(&true) || self.is_of_file() {
             return Err(Failure::usage(
-                "a .gs4d file keeps a run whole: without --times, --format, --sh-degree, --up, --tolerance and --max-error",
+                "a .gs4d file keeps a run whole: without --times, --format, --sh-degree, --up, --tolerance, --rigid and --max-error",
             ));
         }
         let Self { scene: run, out, bits, split, no_eval, force, place, .. } = self;

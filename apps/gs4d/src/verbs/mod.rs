@@ -10,6 +10,7 @@ pub mod demo;
 pub mod doctor;
 pub mod eval;
 pub mod export;
+mod export_rigid;
 pub mod forecast;
 pub mod glmd;
 pub mod import;

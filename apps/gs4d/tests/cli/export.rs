@@ -58,6 +58,37 @@ fn up_turns_the_files_and_costs_nothing() {
 }
 
 #[test]
+fn rigid_parts_are_written_with_their_motion_and_measured() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("parts.glb");
+    let all = ["export", text(run()), "--rigid", "--times", "0..1:9", "-o", text(&file), "--json", "--quiet"];
+    let json = good(&all).json();
+    let number = |key: &str| json[key].as_f64().unwrap_or_else(|| panic!("{key}: {json}"));
+    assert!(number("moving") >= 1.0 && number("parts") >= number("moving"), "{json}");
+    assert_eq!((number("frames"), number("seconds")), (9.0, 3.0));
+    let bytes = fs::read(&file).unwrap();
+    let scene = gs_core::io::glb::read_scene(&bytes, "parts.glb", &gs_core::io::Limits::default()).unwrap();
+    let (start, end) = (scene.at(0.0), scene.at(scene.duration()));
+    assert_eq!((start.len() as f64, start.len()), (number("splats"), end.len()));
+    assert_ne!(start.means, end.means, "they move");
+    // A waving sheet is not rigid; its parts lose something, and that is said.
+    let loss = json["psnr"]["loss"].as_f64().unwrap();
+    assert!(loss.is_finite() && loss < 6.0 && number("residual") > 0.0, "{json}");
+    // Upright files move as the others do.
+    let up = dir.path().join("up.glb");
+    let turned = ["export", text(run()), "--rigid", "--times", "0..1:9", "--up", "z", "-o", text(&up), "--json", "-q"];
+    let turned = good(&turned).json();
+    assert!((turned["psnr"]["loss"].as_f64().unwrap() - loss).abs() < 0.05, "{turned} {loss}");
+    let refused = |more: &[&str]| gs4d(&[&["export", text(run()), "--rigid"][..], more].concat());
+    refused(&["-o", text(&dir.path().join("a.ply"))]).fails(2, &["--rigid", ".glb"]);
+    refused(&["-o", text(&dir.path().join("a.html"))]).fails(2, &["--rigid"]);
+    refused(&["-o", text(&dir.path().join("a.gs4d"))]).fails(2, &["--rigid"]);
+    refused(&["-o", text(&file)]).fails(6, &["parts.glb"]);
+    let other = dir.path().join("b.glb");
+    refused(&["--max-error", "0.0001", "--times", "0..1:3", "-o", text(&other)]).fails(7, &["lose", "html"]);
+}
+
+#[test]
 fn a_file_draws_what_the_run_draws_at_its_time() {
     let dir = tempfile::tempdir().unwrap();
     let (file, camera) = (dir.path().join("half.glb"), dir.path().join("camera.json"));

@@ -1,0 +1,151 @@
+//! A trained scene as rigid parts in motion, for `.glb` files: the parts that `segment` finds, each under the rigid motion that fits its
+//! splats best.
+
+use super::{Baker, ExportError, MIN_OPACITY};
+use crate::layers;
+use crate::segment::SegmentError;
+use glam::{DMat3, DQuat, DVec3};
+use gs_core::io::RawSplats;
+use gs_core::io::glb::{GlbScene, RigidMotion, RigidPart};
+use gs_core::rot;
+use gs_core::{Camera, Splats, cast};
+use gs_data::{Dataset, Split};
+use gs_physics::kabsch::kabsch;
+use gs_train::evaluate::{EvalError, EvalReport, Scoring, evaluate_splats};
+use gs_train::method::MethodError;
+use gs_train::model::Model;
+use gs_train::timestamp::Timestamp;
+
+/// A motion that takes no splat of its part farther than this share of the extent of the scene is none.
+const AT_REST: f64 = 1e-5;
+
+/// Rigid parts of a scene, and how well they describe its motion.
+#[derive(Clone, Debug)]
+pub struct RigidScene {
+    /// The parts; those with most opacity first.
+    pub parts: Vec<RigidPart>,
+    /// Number of parts that move.
+    pub moving: usize,
+    /// Root mean square distance of splats from where their part takes them, by opacity, over all times, world units.
+    pub residual: f64,
+}
+
+impl Baker<'_> {
+    /// The scene as rigid parts, with key frames at ascending normalised times, the first of which is second 0; a normalised time of 1
+    /// takes `seconds`. Parts are those of the motion up to `observed`, the last training time.
+    ///
+    /// # Errors
+    /// If the splats of a time are not valid or differ in number, none is visible, or no parts can be told.
+    pub fn rigid(&self, times: &[f32], seconds: f64, observed: f32) -> Result<RigidScene, ExportError> {
+        let labels = layers::parts(self.method, observed).map_err(|e| ExportError::Parts(e.into()))?;
+        let at = |time: &f32| self.averaged(&Timestamp::normalised(*time));
+        let middle = times.get(times.len() / 2).copied().unwrap_or(0.0);
+        let rest = self.truncated(at(&middle)?).with_plain_kernel();
+        let frames = times.iter().map(|t| Ok(at(t)?.means)).collect::<Result<Vec<_>, MethodError>>()?;
+        if labels.of.len() != rest.len() || frames.iter().any(|f| f.len() != rest.len()) {
+            return Err(ExportError::Parts(SegmentError::NoPaths(self.method.name().to_owned()).into()));
+        }
+        let clock: Vec<f32> =
+            times.iter().map(|t| cast::to_f32(f64::from(t - times.first().unwrap_or(t)) * seconds)).collect();
+        let extent = extent(&rest);
+        let mut scene = RigidScene { parts: Vec::new(), moving: 0, residual: 0.0 };
+        let (mut squares, mut weight) = (0.0, 0.0);
+        for part in 0..labels.k {
+            let visible = |i: &usize| labels.of[*i] as usize == part && rest.opacities[*i] >= MIN_OPACITY;
+            let rows: Vec<usize> = (0..rest.len()).filter(visible).collect();
+            if rows.is_empty() {
+                continue;
+            }
+            let fitted = fit(&rest, &rows, &frames);
+            squares += fitted.squares;
+            weight += fitted.weight;
+            let raw = RawSplats::from_splats(&rest.rows(&rows));
+            let raw = raw.map_err(|source| ExportError::Splats { time: middle, source })?;
+            let moves = fitted.farthest > AT_REST * extent;
+            scene.moving += usize::from(moves);
+            scene.parts.push(self.part(raw, fitted, if moves { &clock } else { &[] }));
+        }
+        if scene.parts.is_empty() {
+            return Err(ExportError::Empty { time: middle });
+        }
+        scene.residual = (squares / f64::max(weight, f64::MIN_POSITIVE)).sqrt();
+        Ok(scene)
+    }
+
+    /// A part of the file, turned if files are; at rest without a clock.
+    fn part(&self, splats: RawSplats, fitted: Fitted, clock: &[f32]) -> RigidPart {
+        let turn = self.turn.map(|rows| DMat3::from_cols_array_2d(&rows).transpose());
+        let splats = match &self.turn {
+            Some(turn) => splats.mapped(turn),
+            None => splats,
+        };
+        let mut motion = RigidMotion { times: clock.to_vec(), ..RigidMotion::default() };
+        for (rotation, translation) in fitted.motions.into_iter().take(clock.len()) {
+            let (rotation, translation) = match turn {
+                Some(u) => (u * rotation * u.transpose(), u * translation),
+                None => (rotation, translation),
+            };
+            let mut quat = DQuat::from_mat3(&rotation).normalize();
+            let before = motion.rotations.last().map(|q| rot::to_glam(*q).as_dquat());
+            if before.is_some_and(|b| b.dot(quat) < 0.0) {
+                quat = -quat;
+            }
+            motion.translations.push(translation.as_vec3());
+            motion.rotations.push(rot::from_glam(quat.as_quat()));
+        }
+        RigidPart { splats, motion }
+    }
+}
+
+/// The motions of a part.
+struct Fitted {
+    motions: Vec<(DMat3, DVec3)>,
+    /// Weighted squares of what the motions leave, and the weight.
+    squares: f64,
+    weight: f64,
+    /// Farthest that a motion takes a splat.
+    farthest: f64,
+}
+
+/// The rigid motions from `rest` to the means of each frame that fit these rows best, by opacity.
+fn fit(rest: &Splats, rows: &[usize], frames: &[Vec<glam::Vec3>]) -> Fitted {
+    let weights: Vec<f64> = rows.iter().map(|i| f64::from(rest.opacities[*i])).collect();
+    let mut out = Fitted { motions: Vec::new(), squares: 0.0, weight: 0.0, farthest: 0.0 };
+    for frame in frames {
+        let pairs: Vec<_> = rows.iter().map(|i| (rest.means[*i].as_dvec3(), frame[*i].as_dvec3())).collect();
+        let rigid = kabsch(&pairs, Some(&weights));
+        for ((from, to), w) in pairs.iter().zip(&weights) {
+            let moved = rigid.apply(*from);
+            out.squares += w * moved.distance_squared(*to);
+            out.weight += w;
+            out.farthest = out.farthest.max(moved.distance(*from));
+        }
+        out.motions.push((rigid.rotation, rigid.translation));
+    }
+    out
+}
+
+/// Diagonal of the box around the splats.
+fn extent(splats: &Splats) -> f64 {
+    let low = splats.means.iter().copied().reduce(glam::Vec3::min).unwrap_or_default();
+    let high = splats.means.iter().copied().reduce(glam::Vec3::max).unwrap_or_default();
+    f64::from(low.distance(high))
+}
+
+/// Scores of a file of rigid parts on a split, as the method itself is scored; `seconds` and `first` are those of [`Baker::rigid`].
+///
+/// # Errors
+/// Those of the evaluation.
+pub fn evaluate_rigid(
+    (baker, scene): (&Baker<'_>, &GlbScene),
+    (seconds, first): (f64, f32),
+    method: &Model,
+    (dataset, split): (&Dataset, Split),
+    scoring: &Scoring<'_>,
+) -> Result<EvalReport, EvalError> {
+    let splats = |at: &Timestamp, _: &Camera| -> Result<Splats, MethodError> {
+        let raw = scene.at(cast::to_f32(f64::from(at.t.normalised - first) * seconds));
+        baker.turned_back(raw).to_splats().map_err(|e| MethodError::Render(e.to_string()))
+    };
+    evaluate_splats(method, &splats, dataset, split, scoring)
+}
