@@ -1,9 +1,8 @@
 //! Contests: several entries on the same data, with the same seeds and the same training time.
 //!
-//! An entry is a method with its own settings. Under a time budget each entry first trains a pilot: its unchanged recipe,
-//! stopped after a fifth of the budget. The seconds per step at the end of the pilot give the number of steps that fill the
-//! budget, and the recipe is stretched or compressed to that many, so that every entry goes through all stages of its
-//! schedule. The measured seconds are part of the result. Every trial is an ordinary run folder; a finished trial is not
+//! An entry is a method with its own settings. Under a time budget each entry first trains a pilot: its recipe compressed to a
+//! tenth of its steps. The mean seconds per step of the pilot give the number of steps that fill the budget, and the recipe is stretched or
+//! compressed to that many, so that every entry goes through all stages of its schedule. A pilot longer than the budget is stopped. The measured seconds are part of the result. Every trial is an ordinary run folder; a finished trial is not
 //! trained again, an interrupted one is resumed.
 //!
 //! The trials can be trained elsewhere: [`Contest::plan`] gives a command line for each, [`Contest::collect`] the results of
@@ -218,7 +217,8 @@ impl Contest {
         match (self.length, self.pilot(entry)?) {
             (Length::Seconds(seconds), Some(pilot)) => {
                 let scored = of(&pilot)?;
-                pilot::steps(&pilot.run, &scored, seconds).map(Length::Steps).map_err(|e| pilot.failed(e))
+                let planned = u32::try_from(pilot.resolved.steps()).unwrap_or(u32::MAX);
+                pilot::steps(&pilot.run, &scored, planned, seconds).map(Length::Steps).map_err(|e| pilot.failed(e))
             }
             (length, _) => Ok(length),
         }
@@ -228,7 +228,9 @@ impl Contest {
     fn pilot(&self, entry: &Entry) -> Result<Option<Job>, ContestError> {
         let Length::Seconds(seconds) = self.length else { return Ok(None) };
         let seed = self.seeds.first().copied().unwrap_or(0);
-        self.job(entry, "pilot", seed, Length::Seconds(pilot::seconds(seconds))).map(Some)
+        let recipe = self.job(entry, "", seed, Length::Recipe)?.resolved.steps();
+        let steps = pilot::length(u32::try_from(recipe).unwrap_or(u32::MAX));
+        self.run_of(entry, "pilot", seed, (Some(steps), Some(seconds))).map(Some)
     }
 
     fn trial(&self, entry: &Entry, seed: u64, length: Length) -> Result<Job, ContestError> {
@@ -237,11 +239,22 @@ impl Contest {
 
     /// The run of an entry in the folder `name`; without a name, settings to be looked at.
     fn job(&self, entry: &Entry, name: &str, seed: u64, length: Length) -> Result<Job, ContestError> {
-        let (steps, time_budget) = match length {
+        let lengths = match length {
             Length::Recipe => (None, None),
             Length::Steps(steps) => (Some(steps), None),
             Length::Seconds(seconds) => (None, Some(seconds)),
         };
+        self.run_of(entry, name, seed, lengths)
+    }
+
+    /// The same of a number of steps and a time after which it stops, seconds.
+    fn run_of(
+        &self,
+        entry: &Entry,
+        name: &str,
+        seed: u64,
+        (steps, time_budget): (Option<u32>, Option<f64>),
+    ) -> Result<Job, ContestError> {
         let request = Request {
             method: entry.method.clone(),
             preset: entry.preset.clone().unwrap_or_else(|| self.preset.clone()),

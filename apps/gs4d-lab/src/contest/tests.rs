@@ -185,7 +185,7 @@ fn pilots_are_planned_before_the_trials_of_a_time_budget() {
         Contest { entries: vec![Entry::new("static3d")], length: Length::Seconds(0.5), ..tiny(folder.path(), 4, 1) };
     let plan = contest.plan().unwrap();
     assert!(plan.pilots && plan.jobs[0].trial == "static3d / pilot");
-    assert!(plan.jobs[0].command("gs4d").unwrap().contains(" --time-budget 0.1s --seed 0 "));
+    assert!(plan.jobs[0].command("gs4d").unwrap().contains(" --steps 50 --time-budget 0.5s --seed 0 "));
     assert_eq!(contest.collect().unwrap().missing[0].trial, "static3d / pilot");
 
     let go = AtomicBool::new(false);
