@@ -6,6 +6,7 @@ use flate2::Compression;
 use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
 use glam::{DVec3, Vec3};
+use gs_core::io::glb::{self, RigidMotion, RigidPart};
 use gs_core::io::{
     Limits, NamedCamera, RawSplats, SplatFormat, cameras, load_splats, npy, parse_cameras, parse_splats, ply, spz,
     write_splats, zip,
@@ -122,7 +123,15 @@ fn gzip(payload: &[u8]) -> Vec<u8> {
 
 fn glb_seeds(_: &Path) -> Result<Vec<Case>, Error> {
     let whole = file(SplatFormat::Glb, 1)?;
-    Ok(vec![glb_parts(whole.first()).ok_or("two chunks were written")?, whole])
+    let motion = RigidMotion {
+        times: vec![0.0, 1.0],
+        translations: vec![Vec3::ZERO, Vec3::X],
+        rotations: vec![[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]],
+    };
+    let parts = [RigidPart { splats: some(4, 0)?, motion }, RigidPart { splats: some(3, 1)?, ..RigidPart::default() }];
+    let moving = written(|out| glb::write_parts(&parts, out))?;
+    let split = |glb: &[u8]| glb_parts(glb).ok_or("two chunks were written");
+    Ok(vec![split(whole.first())?, split(&moving)?, whole])
 }
 
 /// JSON and binary chunk of a GLB as files of their own, so that mutation keeps the lengths right.

@@ -368,6 +368,8 @@ mod tests {
             (json!([{"mesh": 0, "rotation": [0.0, 0.0, 0.0, 0.0]}]), "rotation"),
             (json!([{"mesh": 0, "translation": [1.0]}]), "translation"),
             (json!([{"mesh": 0, "children": [1]}, {"children": [0]}]), "in a ring"),
+            (json!([{"mesh": 0, "translation": [0.0, 1e30, 0.0]}]), "beyond the range"),
+            (json!([{"mesh": 0, "scale": [1e-30, 1e-30, 1e-30]}]), "beyond the range"),
         ] {
             let error = placed(nodes).unwrap_err();
             assert!(error.contains(want), "{error}");

@@ -11,6 +11,8 @@ use serde_json::Value;
 const MAX_DEPTH: usize = 64;
 /// Largest difference of the scales of a node's axes, and of their products from 0, relative.
 const SIMILAR: f64 = 1e-4;
+/// Coordinates and scales are below this and scales above its inverse: far from the ends of `f32`, squares included.
+const LIMIT: f64 = 1e18;
 const ADVICE: &str = "write the file again";
 
 /// The splats of a binary glTF file under its nodes.
@@ -146,10 +148,30 @@ impl GlbScene {
         if let Some(animation) = list("animations").first() {
             scene.animate(animation, reader)?;
         }
-        for (_, node) in &scene.shown {
+        for (primitive, node) in &scene.shown {
             scene.depth(*node, src)?;
+            scene.reach(*primitive, *node, src)?;
         }
         Ok(scene)
+    }
+
+    /// Fails if nodes may take splats farther than numbers reach.
+    fn reach(&self, primitive: usize, mut node: Option<usize>, src: Source<'_>) -> Result<(), IoError> {
+        let means = self.splats.get(primitive).map_or(&[][..], |s| s.means.as_slice());
+        let farthest = means.iter().map(|m| m.abs().max_element()).fold(0.0, f32::max);
+        let (mut reach, mut scale, mut plain) = (f64::from(farthest) * 2.0, 1.0f64, true);
+        while let Some(n) = node.and_then(|k| self.nodes.get(k)) {
+            let keys =
+                n.translation.iter().flat_map(|t| &t.values).map(|v| v.map(f64::abs).into_iter().fold(0.0, f64::max));
+            let moved = keys.fold(n.rest.translation.abs().max_element(), f64::max);
+            (reach, scale) = (reach * n.rest.scale + 2.0 * moved, scale * n.rest.scale);
+            plain &= n.rest == Placement::default() && n.translation.is_none() && n.rotation.is_none();
+            node = n.parent;
+        }
+        if plain || reach < LIMIT && (1.0 / LIMIT..LIMIT).contains(&scale) {
+            return Ok(());
+        }
+        Err(src.malformed(At::Byte(0), "nodes that take splats beyond the range of f32", ADVICE))
     }
 
     /// Seconds from 0 to the last key frame; 0 for a scene at rest.
