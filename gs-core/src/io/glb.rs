@@ -378,6 +378,11 @@ mod tests {
         let crowd: Vec<Value> = (0..100_000).map(|_| json!({"mesh": 0})).collect();
         let many = edited(&encode(&cloud(60, 1, 3)), |d| d["nodes"] = json!(crowd));
         assert!(matches!(read_all(&many), Err(IoError::Limit { .. })));
+        let shared = edited(&encode(&cloud(2000, 1, 3)), |d| {
+            let one = d["meshes"][0]["primitives"][0].clone();
+            d["meshes"][0]["primitives"] = json!(vec![one; 2000]);
+        });
+        assert!(matches!(read_all(&shared), Err(IoError::Limit { .. })));
     }
 
     #[test]

@@ -180,9 +180,13 @@ pub fn read_scene(bytes: &[u8], file: &str, limits: &Limits) -> Result<GlbScene,
     let parsed = serde_json::from_slice(text);
     let document = parsed.map_err(|e| src.malformed(At::Byte(20), e.to_string(), "write the file again"))?;
     let reader = Reader { document, binary, src };
-    let mut splats = Vec::new();
+    let (mut splats, mut memory) = (Vec::new(), 0u64);
     for (mesh, primitive) in reader.primitives()? {
-        splats.push((mesh, reader.splats(primitive, limits)?));
+        let read = reader.splats(primitive, limits)?;
+        // Primitives may share their bytes.
+        memory = memory.saturating_add((read.len() * RawSplats::row_bytes(read.degree)) as u64);
+        limits.expansion(src, memory, bytes.len())?;
+        splats.push((mesh, read));
     }
     GlbScene::of(&reader, splats, bytes.len(), limits)
 }

@@ -6,6 +6,7 @@ use super::glb_read::Reader;
 use super::{IoError, Limits, RawSplats};
 use glam::{DMat3, DMat4, DQuat, DVec3, Vec3};
 use serde_json::Value;
+use std::collections::BTreeMap;
 
 /// Most nodes above one another.
 const MAX_DEPTH: usize = 64;
@@ -126,12 +127,16 @@ impl GlbScene {
                 }
             }
         }
+        let mut of_mesh = BTreeMap::<usize, Vec<usize>>::new();
+        primitives.iter().enumerate().for_each(|(p, (mesh, _))| of_mesh.entry(*mesh).or_default().push(p));
+        let of_node = |n: &Value| {
+            n.get("mesh").and_then(index).and_then(|mesh| of_mesh.get(&mesh)).map_or(&[][..], Vec::as_slice)
+        };
+        let count: u64 = list("nodes").iter().map(|n| of_node(n).len() as u64).fold(0, u64::saturating_add);
+        limits.expansion(src, count.saturating_mul(size_of::<(usize, Option<usize>)>() as u64), file_bytes)?;
         let mut shown = Vec::new();
         for (k, entry) in list("nodes").iter().enumerate() {
-            let mesh = entry.get("mesh").and_then(index);
-            shown.extend(
-                (0..primitives.len()).filter_map(|p| (Some(primitives.get(p)?.0) == mesh).then_some((p, Some(k)))),
-            );
+            shown.extend(of_node(entry).iter().map(|p| (*p, Some(k))));
         }
         if shown.is_empty() {
             shown = (0..primitives.len()).map(|p| (p, None)).collect();

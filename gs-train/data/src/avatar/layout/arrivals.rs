@@ -100,7 +100,7 @@ impl Arrivals {
             match self.read(number) {
                 Ok((pose, images)) => {
                     self.last = Some(number);
-                    self.refused.clear();
+                    self.refused.retain(|n| *n > number);
                     let passed_over = whole.len() - k - 1;
                     return Ok(Some(ArrivedFrame { number, pose, images, written, passed_over }));
                 }
