@@ -55,7 +55,7 @@ pub enum ExportError {
     /// The scene cannot become a clip.
     #[error(transparent)]
     Player(#[from] PlayerError),
-    /// Rigid parts cannot be told.
+    /// Rigid parts cannot be found.
     #[error("no rigid parts: {0}")]
     Parts(#[source] Box<SegmentError>),
     /// No splat is visible at this time.

@@ -99,8 +99,8 @@ impl Renderer {
         if let Some(avatar) = shot.scene.avatar() {
             header["inputs"] = inputs(avatar, q.time);
         }
-        let bytes = pack(&image, packing)?;
         header["ms"] = json!(ms_since(begun));
+        let bytes = pack(&image, packing)?;
         if let Some(frame) = shot.scene.frame {
             header["frame"] = json!({"number": frame.number, "latency_ms": ms_since(frame.written)});
         }

@@ -64,8 +64,8 @@ impl Server {
         Feed::start(registry, self.shared.clone(), avatar, share).map_err(ViewError::Threads)
     }
 
-    /// Shows a frame of a live film in the first show. Pages ask for it, and are told how long ago `written`, the time its last file
-    /// was written, is once its image is ready.
+    /// Shows a frame of a live film in the first show. Pages ask for it; with its image they get the time since `written`, when
+    /// its last file was written.
     pub fn show_frame(&self, splats: Splats, number: u32, written: Instant) {
         let news = json!({"frame": {"number": number, "splats": splats.len()}});
         self.shared.stage.shows()[0].replace(Scene::live(splats, LiveFrame { number, written }));

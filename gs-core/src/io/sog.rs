@@ -40,7 +40,7 @@ const PER_LINE: usize = 64;
 const FIRST_MODE: u8 = 252;
 const ADVICE: &str = "export the scene again";
 
-/// What is told of a file beside its splats.
+/// What a file says beside its splats.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SogHeader {
     /// Number of splats.

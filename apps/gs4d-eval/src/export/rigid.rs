@@ -35,7 +35,7 @@ impl Baker<'_> {
     /// takes `seconds`. Parts are those of the motion up to `observed`, the last training time.
     ///
     /// # Errors
-    /// If the splats of a time are not valid or differ in number, none is visible, or no parts can be told.
+    /// If the splats of a time are not valid or differ in number, none is visible, or no parts can be found.
     pub fn rigid(&self, times: &[f32], seconds: f64, observed: f32) -> Result<RigidScene, ExportError> {
         let labels = layers::parts(self.method, observed).map_err(|e| ExportError::Parts(e.into()))?;
         let at = |time: &f32| self.averaged(&Timestamp::normalised(*time));

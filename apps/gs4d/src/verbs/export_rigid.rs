@@ -53,7 +53,12 @@ impl Rigid {
         let baker = Baker::new(model, &views, self.sh_degree).turned(turn);
         let observed = kept.times.last().copied().unwrap_or(1.0);
         let made = baker.rigid(&times, seconds, observed)?;
-        write_file(&self.out, self.force, |out| write_parts(&made.parts, out))?;
+        // One rank writes; the others read what it wrote.
+        run.share.barrier()?;
+        if run.share.leads() {
+            write_file(&self.out, self.force, |out| write_parts(&made.parts, out))?;
+        }
+        run.share.barrier()?;
         let bytes = read_file(&self.out, &global.limits())?;
         let scene = read_scene(&bytes, &self.out.display().to_string(), &global.limits())?;
         let measure = |data: &gs_data::Dataset| {

@@ -29,7 +29,7 @@ pub struct View {
     place: RunData,
 }
 
-/// Flags of verbs that end when they are told to: the viewer's server.
+/// Flags of verbs that serve a viewer until they are interrupted.
 #[derive(clap::Args)]
 pub struct Serving {
     /// Port; if it is taken, one of the next twenty.
