@@ -2,7 +2,6 @@
 
 use gs_core::io::Limits;
 use gs_data::avatar::AvatarScene;
-use gs_data::avatar::layout::{Arrivals, PosesFrom};
 use gs_data::{DataError, DataOptions, Dataset, ImageCache, ImageSource, ImageU8, TimeFrom, View, detect};
 use gs_synth::avatar::{AvatarOptions, Morphs, generate, write};
 use gs_texel::maps_exr::load_layers;
@@ -487,69 +486,6 @@ fn poses_crops_masks_and_lenses_are_read() {
     assert_eq!((view.camera.cx, view.lens.map(|l| l.k1)), (8.5, Some(0.1)));
     let e = film.open_with(&DataOptions { undistort: false, ..DataOptions::default() }).unwrap_err();
     assert_eq!(e.code(), "data.camera_model");
-}
-
-#[test]
-fn the_newest_whole_frame_arrives() {
-    let film = Broken::new();
-    let data = open(film.dir.path()).unwrap();
-    let (s, skeleton) = (scene(&data), &scene(&data).character.skeleton);
-    let dir = tempfile::tempdir().unwrap();
-    let mut arrivals =
-        Arrivals::new(dir.path(), &data, PosesFrom::Folder, DataOptions { scale: 0.5, ..DataOptions::default() })
-            .unwrap();
-    let ids: Vec<u32> = arrivals.cameras().collect();
-    assert_eq!(ids, s.frames[0].inputs.iter().map(|v| v.camera_id).collect::<Vec<_>>());
-    let image = |id: u32, number: u32| format!("images/{id:03}/{number:06}.png");
-    let put = |id: u32, from: u32, to: u32| {
-        let target = dir.path().join(image(id, to));
-        std::fs::create_dir_all(target.parent().unwrap()).unwrap();
-        std::fs::copy(film.path(&image(id, from)), target).unwrap();
-    };
-    let pose = |number: u32, pose: Value| {
-        std::fs::create_dir_all(dir.path().join("poses")).unwrap();
-        std::fs::write(dir.path().join(format!("poses/{number:06}.json")), pose.to_string()).unwrap();
-    };
-    // Not before all cameras and the pose are there.
-    ids[1..].iter().for_each(|id| put(*id, 1, 101));
-    pose(101, json!({"nodes": {"head": {"rotation": [0, 1, 0, 0]}}}));
-    assert!(arrivals.newest().unwrap().is_none());
-    put(ids[0], 1, 101);
-    ids.iter().for_each(|id| put(*id, 2, 102));
-    let frame = arrivals.newest().unwrap().unwrap();
-    assert_eq!((frame.number, frame.passed_over), (101, 0));
-    let mut want = skeleton.rest_pose();
-    want.locals[skeleton.node("head").unwrap() as usize].rotation = [0.0, 1.0, 0.0, 0.0];
-    assert_eq!(frame.pose, want);
-    let cache = ImageCache::new(0, 1.0);
-    let half = Dataset::open(film.dir.path(), &DataOptions { scale: 0.5, ..DataOptions::default() }).unwrap();
-    assert_eq!(frame.images, AvatarScene::input_images(&scene(&half).frames[1].inputs, &cache).unwrap());
-    assert!(frame.written.elapsed().unwrap().as_secs() < 60);
-    // Of several the newest; older ones never again.
-    ids.iter().for_each(|id| put(*id, 0, 103));
-    pose(102, json!({}));
-    pose(103, json!({}));
-    let frame = arrivals.newest().unwrap().unwrap();
-    assert_eq!((frame.number, frame.passed_over), (103, 1));
-    assert!(arrivals.newest().unwrap().is_none());
-    // A file that is being written is waited for; one that stays damaged is named once.
-    ids.iter().for_each(|id| put(*id, 0, 104));
-    pose(104, json!({"nodes": {"tail": {}}}));
-    assert!(arrivals.newest().unwrap().is_none());
-    let old = std::time::SystemTime::now() - std::time::Duration::from_secs(5);
-    let files = ids.iter().map(|id| image(*id, 104)).chain(["poses/000104.json".into()]);
-    files.for_each(|f| {
-        std::fs::File::options().append(true).open(dir.path().join(f)).unwrap().set_modified(old).unwrap()
-    });
-    names(&arrivals.newest().unwrap_err(), "data.field", &["000104.json", "tail"]);
-    assert!(arrivals.newest().unwrap().is_none());
-    // Poses of the film, by number.
-    let mut filmed = Arrivals::new(film.dir.path(), &data, PosesFrom::Film, DataOptions::default()).unwrap();
-    let last = filmed.newest().unwrap().unwrap();
-    let newest = s.frames.last().unwrap();
-    assert_eq!((last.number, &last.pose, last.passed_over), (newest.number, &newest.pose, s.frames.len() - 1));
-    let nobody = Dataset { avatar: None, ..data.without_views() };
-    assert!(Arrivals::new(dir.path(), &nobody, PosesFrom::Film, DataOptions::default()).is_err());
 }
 
 #[test]
