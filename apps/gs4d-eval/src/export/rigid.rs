@@ -38,10 +38,12 @@ impl Baker<'_> {
     /// If the splats of a time are not valid or differ in number, none is visible, or no parts can be found.
     pub fn rigid(&self, times: &[f32], seconds: f64, observed: f32) -> Result<RigidScene, ExportError> {
         let labels = layers::parts(self.method, observed).map_err(|e| ExportError::Parts(e.into()))?;
-        let at = |time: &f32| self.averaged(&Timestamp::normalised(*time));
         let middle = times.get(times.len() / 2).copied().unwrap_or(0.0);
-        let rest = self.truncated(at(&middle)?).with_plain_kernel();
-        let frames = times.iter().map(|t| Ok(at(t)?.means)).collect::<Result<Vec<_>, MethodError>>()?;
+        let rest = self.truncated(self.averaged(&Timestamp::normalised(middle))?).with_plain_kernel();
+        // Where splats are does not depend on the camera.
+        let camera = self.cameras.first().ok_or(ExportError::Empty { time: middle })?;
+        let means = |t: &f32| Ok(self.method.all_splats(&Timestamp::normalised(*t), camera)?.means);
+        let frames = times.iter().map(means).collect::<Result<Vec<_>, MethodError>>()?;
         if labels.of.len() != rest.len() || frames.iter().any(|f| f.len() != rest.len()) {
             return Err(ExportError::Parts(SegmentError::NoPaths(self.method.name().to_owned()).into()));
         }
