@@ -43,16 +43,16 @@ pub struct UnitQuat<T> {
 #[inline(always)]
 pub fn normalise<T: Real>(raw: [T; 4]) -> UnitQuat<T> {
     let [w, x, y, z] = raw;
-    let abs = |v: T| v.max(-v);
     let zero = w.lit(0.0);
     let one = w.lit(1.0);
-    let big = abs(w).max(abs(x)).max(abs(y)).max(abs(z));
+    let big = w.max(-w).max(x.max(-x)).max(y.max(-y)).max(z.max(-z));
     let scale = zero.select_lt(big, big, one);
     let [a, b, c, d] = [w / scale, x / scale, y / scale, z / scale];
     let norm = (a * a + b * b + c * c + d * d).sqrt() * scale;
     let floor = w.lit(MIN_QUAT_NORM);
     let inv_norm = one / norm.max(floor);
-    UnitQuat { wxyz: raw.map(|v| v * inv_norm), inv_norm, free: floor.select_lt(norm, one, zero) }
+    let wxyz = [w * inv_norm, x * inv_norm, y * inv_norm, z * inv_norm];
+    UnitQuat { wxyz, inv_norm, free: floor.select_lt(norm, one, zero) }
 }
 
 /// Backward of [`normalise`]: `d_q̃ = (d_q − q (q·d_q)) / |q̃|`, without the projection below the length 1e-12.
@@ -60,7 +60,12 @@ pub fn normalise<T: Real>(raw: [T; 4]) -> UnitQuat<T> {
 pub fn normalise_backward<T: Real>(q: &UnitQuat<T>, d_q: [T; 4]) -> [T; 4] {
     let u = q.wxyz;
     let along = (u[0] * d_q[0] + u[1] * d_q[1] + u[2] * d_q[2] + u[3] * d_q[3]) * q.free;
-    std::array::from_fn(|i| (d_q[i] - u[i] * along) * q.inv_norm)
+    [
+        (d_q[0] - u[0] * along) * q.inv_norm,
+        (d_q[1] - u[1] * along) * q.inv_norm,
+        (d_q[2] - u[2] * along) * q.inv_norm,
+        (d_q[3] - u[3] * along) * q.inv_norm,
+    ]
 }
 
 /// Rotation matrix (rows) of a unit quaternion.

@@ -7,11 +7,12 @@ use crate::blend_backward::{TileBackward, TileSpan, blend_backward};
 use crate::camera_grad::{CameraGrad, CameraSum};
 use crate::frame::{FrameGrad, ScreenStats};
 use crate::kernel::{Gaussian, KernelProfile, PiecewiseLinear};
+use crate::lanes::{LANES, Lanes};
 use crate::options::{Limits, RasterOptions};
 use crate::project::{self, PixelSums, SplatGeometry, View, sh_color_backward};
 use crate::simd;
-use crate::tiles::{Grid, LOG2_SCALE, TILE};
-use crate::workspace::{BLOCKS, Plane, Record, Workspace, pixel_of};
+use crate::tiles::{Grid, TILE};
+use crate::workspace::{BLOCKS, Plane, RECORD, Record, Workspace, pixel_of};
 use fearless_simd::{dispatch, prelude::*};
 use glam::Vec3;
 use gs_core::{Camera, Color, Kernel, SplatsGrad, SplatsRef};
@@ -248,7 +249,7 @@ struct RowsOut<'a> {
 
 #[inline(always)]
 fn block_backward<S: Simd, C: CameraSum>(
-    _: S,
+    simd: S,
     splats: SplatsRef<'_>,
     options: &RasterOptions,
     w: &Workspace,
@@ -257,41 +258,56 @@ fn block_backward<S: Simd, C: CameraSum>(
 ) -> C {
     let mut camera = C::default();
     let (width, kernel_width) = (splats.color.width(), splats.kernel.width());
-    for k in 0..out.means.len() {
-        let i = out.first + k;
-        let Some(sums) = sum_records(w, w.rank_of[i]) else { continue };
-        let geometry = SplatGeometry { mean: splats.means[i], quat: splats.quats[i], scale: splats.scales[i] };
-        let Some(footprint) = project::project(view, &geometry, options) else { continue };
-        let g = project::backward(view, &geometry, &footprint, f64::from(splats.opacities[i]), &sums, options);
-        let d_view = color_backward(splats, view, i, &sums, &mut out.color[k * width..][..width]);
-        splats.kernel.vjp(i, sums.kernel, &mut out.kernel[k * kernel_width..][..kernel_width]);
-        out.means[k] = to_vec3(g.mean) + d_view;
-        out.quats[k] = [g.quat[0] as f32, g.quat[1] as f32, g.quat[2] as f32, g.quat[3] as f32];
-        out.scales[k] = to_vec3(g.scale);
-        out.opacities[k] = g.opacity as f32;
-        out.means2d[k] = [g.mean2d[0] as f32, g.mean2d[1] as f32];
-        out.radii[k] = footprint.radius() as f32;
-        camera.add_splat(view, splats.means[i], &footprint, &g, d_view);
+    let listed = (out.first..out.first + out.means.len()).filter(|&i| w.rank_of[i] != u32::MAX);
+    let listed: Vec<usize> = listed.collect();
+    for eight in listed.chunks(LANES) {
+        let (mut rows, mut opacity) = ([0; LANES], [0.0; LANES]);
+        let (mut records, mut columns) = ([[0.0; RECORD]; LANES], [[0.0; LANES]; RECORD]);
+        for l in 0..LANES {
+            rows[l] = eight[l.min(eight.len() - 1)];
+            opacity[l] = f64::from(splats.opacities[rows[l]]);
+            records[l] = sum_records(w, w.rank_of[rows[l]]);
+            for k in 0..RECORD {
+                columns[k][l] = records[l][k];
+            }
+        }
+        let geometry = SplatGeometry::gather(simd, splats, &rows);
+        let footprint = project::project(view, &geometry, options);
+        let (opacity, sums) = (Lanes::load(simd, opacity), PixelSums::new(Lanes::all(simd, columns)));
+        let g = project::backward(view, &geometry, &footprint, opacity, &sums, options);
+        let (mean, quat, scale) = (Lanes::arrays(g.mean), Lanes::arrays(g.quat), Lanes::arrays(g.scale));
+        let ([u, v], opacity) = (Lanes::arrays(g.mean2d), g.opacity.to_array());
+        let radius = footprint.radius().to_array();
+        let valid = footprint.valid();
+        let mut d_view = [Vec3::ZERO; LANES];
+        for (l, &i) in eight.iter().enumerate().filter(|(l, _)| valid[*l]) {
+            let (k, sums) = (i - out.first, PixelSums::new(records[l]));
+            d_view[l] = color_backward(splats, view, i, &sums, &mut out.color[k * width..][..width]);
+            splats.kernel.vjp(i, sums.kernel, &mut out.kernel[k * kernel_width..][..kernel_width]);
+            for axis in 0..3 {
+                out.means[k][axis] = mean[axis][l] as f32 + d_view[l][axis];
+                out.scales[k][axis] = scale[axis][l] as f32;
+            }
+            for (to, from) in out.quats[k].iter_mut().zip(&quat) {
+                *to = from[l] as f32;
+            }
+            out.opacities[k] = opacity[l] as f32;
+            out.means2d[k] = [u[l] as f32, v[l] as f32];
+            out.radii[k] = radius[l] as f32;
+        }
+        camera.add_splats(view, &geometry, &footprint, &g, &d_view[..eight.len()], valid);
     }
     camera
 }
 
+/// Sums of the records of the splat of a rank, in ascending tile order.
 #[inline(always)]
-fn to_vec3(v: [f64; 3]) -> Vec3 {
-    Vec3::new(v[0] as f32, v[1] as f32, v[2] as f32)
-}
-
-/// Sums of a splat's records in ascending tile order; `None` if it is in no tile.
-#[inline(always)]
-fn sum_records(w: &Workspace, rank: u32) -> Option<PixelSums> {
-    if rank == u32::MAX {
-        return None;
-    }
+fn sum_records(w: &Workspace, rank: u32) -> [f64; RECORD] {
     let chunks = &w.chunks[..w.chunk_count];
     let chunk = &chunks[chunks.partition_point(|c| c.first <= rank as usize) - 1];
     let at = rank as usize - chunk.first;
     let span = chunk.splat_starts[at] as usize..chunk.splat_starts[at + 1] as usize;
-    let mut sum = [0.0f64; 16];
+    let mut sum = [0.0f64; RECORD];
     for entry in &chunk.entries[span] {
         let tile = entry.tile as usize;
         let slot = chunk.listed_before[tile] + entry.chunk_slot;
@@ -302,21 +318,12 @@ fn sum_records(w: &Workspace, rank: u32) -> Option<PixelSums> {
             }
         }
     }
-    // Undo the scale of the whitened offsets, log₂ g = −(a² + b²).
-    let (one, two) = (1.0 / LOG2_SCALE, 1.0 / (LOG2_SCALE * LOG2_SCALE));
-    Some(PixelSums {
-        opacity: sum[0],
-        first: [sum[1] * one, sum[2] * one],
-        second: [sum[3] * two, sum[4] * two, sum[5] * two],
-        rgb: [sum[6], sum[7], sum[8]],
-        depth: sum[9],
-        kernel: [sum[10], sum[11]],
-    })
+    sum
 }
 
 /// Writes the cotangents of the colour row; returns that of the mean through the view direction.
 #[inline(always)]
-fn color_backward(splats: SplatsRef<'_>, view: &View, i: usize, sums: &PixelSums, d_row: &mut [f32]) -> Vec3 {
+fn color_backward(splats: SplatsRef<'_>, view: &View, i: usize, sums: &PixelSums<f64>, d_row: &mut [f32]) -> Vec3 {
     let d_rgb = [sums.rgb[0] as f32, sums.rgb[1] as f32, sums.rgb[2] as f32];
     match splats.color {
         Color::Rgb(_) => {

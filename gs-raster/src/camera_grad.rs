@@ -9,7 +9,9 @@
 //!                                 d_f += d_J0/t_z          d_c += d_J1/t_z where it is: f x̃ is a constant minus c
 //! ```
 
-use crate::project::{Footprint, GeometryGrad, View};
+use crate::lanes::{LANES, Lanes};
+use crate::project::{Footprint, GeometryGrad, SplatGeometry, View};
+use fearless_simd::Simd;
 use glam::Vec3;
 use gs_core::real::dot3;
 use gs_core::{Camera, rot};
@@ -102,36 +104,67 @@ impl std::ops::AddAssign for CameraGrad {
 
 /// What a backward pass sums of the camera's gradient: a [`CameraGrad`], or nothing at no cost.
 pub(crate) trait CameraSum: Default + Send {
-    /// Adds what one splat pulls back; `d_view` is the cotangent of its mean through the view direction.
-    fn add_splat(&mut self, view: &View, mean: Vec3, fp: &Footprint, g: &GeometryGrad, d_view: Vec3);
+    /// Adds what the splats of the first lanes pull back, in order, where `valid`; `d_view` has the cotangents of their
+    /// means through the view direction.
+    fn add_splats<S: Simd>(
+        &mut self,
+        view: &View,
+        geometry: &SplatGeometry<Lanes<S>>,
+        fp: &Footprint<Lanes<S>>,
+        g: &GeometryGrad<Lanes<S>>,
+        d_view: &[Vec3],
+        valid: [bool; LANES],
+    );
     /// Adds the sum of other splats.
     fn add(&mut self, other: Self);
 }
 
 impl CameraSum for () {
     #[inline(always)]
-    fn add_splat(&mut self, _: &View, _: Vec3, _: &Footprint, _: &GeometryGrad, _: Vec3) {}
+    fn add_splats<S: Simd>(
+        &mut self,
+        _: &View,
+        _: &SplatGeometry<Lanes<S>>,
+        _: &Footprint<Lanes<S>>,
+        _: &GeometryGrad<Lanes<S>>,
+        _: &[Vec3],
+        _: [bool; LANES],
+    ) {
+    }
     #[inline(always)]
     fn add(&mut self, (): Self) {}
 }
 
 impl CameraSum for CameraGrad {
     #[inline(always)]
-    fn add_splat(&mut self, view: &View, mean: Vec3, fp: &Footprint, g: &GeometryGrad, d_view: Vec3) {
+    fn add_splats<S: Simd>(
+        &mut self,
+        view: &View,
+        geometry: &SplatGeometry<Lanes<S>>,
+        fp: &Footprint<Lanes<S>>,
+        g: &GeometryGrad<Lanes<S>>,
+        d_view: &[Vec3],
+        valid: [bool; LANES],
+    ) {
         let d = &g.in_camera;
-        self.add_point(d.point, mean.to_array().map(f64::from));
-        self.add_axes(&d.axes, &rot::matrix(fp.unit.wxyz));
-        let d_view = d_view.to_array().map(f64::from);
-        self.add_point(view.rotation.map(|row| dot3(row, d_view)), view.position);
-        let inv_z = 1.0 / fp.point[2];
-        let (mut focal, mut center) = ([0.0; 2], [0.0; 2]);
-        for axis in 0..2 {
-            let [d_scale, d_slope] = d.jacobian[axis];
-            let free = fp.unclamped[axis];
-            focal[axis] = inv_z * (fp.point[axis] * g.mean2d[axis] + d_scale - free * fp.clamped[axis] * d_slope);
-            center[axis] = g.mean2d[axis] + (1.0 - free) * inv_z * d_slope;
+        for (l, d_view) in d_view.iter().enumerate().filter(|(l, _)| valid[*l]) {
+            let at = |v: Lanes<S>| v.to_array()[l];
+            self.add_point(d.point.map(at), geometry.mean.map(at));
+            self.add_axes(&d.axes.map(|row| row.map(at)), &rot::matrix(fp.unit.wxyz.map(at)));
+            let d_view = d_view.to_array().map(f64::from);
+            self.add_point(view.rotation.map(|row| dot3(row, d_view)), view.position);
+            let (point, mean2d) = (fp.point.map(at), g.mean2d.map(at));
+            let (clamped, unclamped) = (fp.clamped.map(at), fp.unclamped.map(at));
+            let inv_z = 1.0 / point[2];
+            let (mut focal, mut center) = ([0.0; 2], [0.0; 2]);
+            for axis in 0..2 {
+                let [d_scale, d_slope] = d.jacobian[axis].map(at);
+                let free = unclamped[axis];
+                focal[axis] = inv_z * (point[axis] * mean2d[axis] + d_scale - free * clamped[axis] * d_slope);
+                center[axis] = mean2d[axis] + (1.0 - free) * inv_z * d_slope;
+            }
+            self.add_intrinsics(focal, center);
         }
-        self.add_intrinsics(focal, center);
     }
 
     #[inline(always)]

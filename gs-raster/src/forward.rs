@@ -6,8 +6,9 @@
 use crate::blend::blend;
 use crate::frame::Frame;
 use crate::kernel::{Gaussian, KernelProfile, PiecewiseLinear};
+use crate::lanes::{LANES, Lanes};
 use crate::options::{Limits, RasterOptions};
-use crate::project::{SplatGeometry, View, project, sh_color};
+use crate::project::{Outline, SplatGeometry, View, project, sh_color};
 use crate::simd;
 use crate::sort::{Key, sort};
 use crate::tiles::{Grid, LOG2_SCALE, OpenTiles, ProjectedSplat, TILE};
@@ -208,22 +209,41 @@ struct Scene<'a, K> {
 }
 
 impl<K: KernelProfile> Scene<'_, K> {
-    /// Projects one splat; `None` if it cannot reach `min_alpha` in an open tile.
+    /// Lists in `reaching` the positions of those splats of `keys` whose bound meets an open tile.
     #[inline(always)]
-    fn project(&self, index: u32) -> Option<ProjectedSplat> {
-        let (s, i) = (self.splats, index as usize);
-        let geometry = SplatGeometry { mean: s.means[i], quat: s.quats[i], scale: s.scales[i] };
+    fn reaching<S: Simd>(&self, simd: S, keys: &[Key], reaching: &mut Vec<u32>) {
+        reaching.clear();
         let log2_min_alpha = f64::from(self.limits.log2_min_alpha);
-        let max_distance = self.kernel.max_distance(index, self.max_distance, log2_min_alpha);
-        let (center, radius) = self.view.bound(&geometry, self.options.dilation, max_distance);
-        if !self.open.intersect(self.grid, center, radius) {
-            return None;
+        for (group, keys) in keys.chunks(LANES).enumerate() {
+            let (mut mean, mut largest, mut distance) = ([[0.0; LANES]; 3], [0.0; LANES], [0.0; LANES]);
+            for l in 0..LANES {
+                let index = keys[l.min(keys.len() - 1)].index;
+                let row = index as usize;
+                for (axis, mean) in mean.iter_mut().enumerate() {
+                    mean[l] = f64::from(self.splats.means[row][axis]);
+                }
+                largest[l] = f64::from(self.splats.scales[row].abs().max_element());
+                distance[l] = self.kernel.max_distance(index, self.max_distance, log2_min_alpha);
+            }
+            let (mean, [largest, distance]) = (Lanes::all(simd, mean), Lanes::all(simd, [largest, distance]));
+            let ([x, y], radius) = self.view.bound(mean, largest, self.options.dilation, distance);
+            let ([x, y], radius) = (Lanes::arrays([x, y]), radius.to_array());
+            for l in 0..keys.len() {
+                if self.open.intersect(self.grid, [x[l] as f32, y[l] as f32], radius[l] as f32) {
+                    reaching.push((group * LANES + l) as u32);
+                }
+            }
         }
-        let footprint = project(self.view, &geometry, self.options)?;
-        let log2_opacity = (f64::from(s.opacities[i]) * footprint.compensation).log2();
+    }
+
+    /// What tiles need of a splat; `None` if it reaches `min_alpha` nowhere.
+    #[inline(always)]
+    fn splat(&self, outline: &Outline, index: u32) -> Option<ProjectedSplat> {
+        let log2_min_alpha = f64::from(self.limits.log2_min_alpha);
+        let log2_opacity = (f64::from(self.splats.opacities[index as usize]) * outline.compensation).log2();
         let max_support = (self.options.box_sigmas * LOG2_SCALE).powi(2);
         let support = self.kernel.support(index, log2_opacity, log2_min_alpha).min(max_support);
-        ProjectedSplat::new(&footprint, log2_opacity, support, footprint.depth(), index)
+        ProjectedSplat::new(outline, log2_opacity, support, index)
     }
 }
 
@@ -269,28 +289,39 @@ fn bin_chunk<K: KernelProfile>(scene: &Scene<K>, keys: &[Key], bins: &mut Vec<Bi
 /// Projects a block of splats, lists the open tiles each touches, and evaluates the colour of those that touch any.
 #[inline(always)]
 fn bin_block<S: Simd, K: KernelProfile>(
-    _: S,
+    simd: S,
     scene: &Scene<K>,
     keys: &[Key],
     bin: &mut Bin,
     projected: &mut [ProjectedSplat],
     counts: &mut [u32],
 ) {
-    bin.tiles.clear();
-    bin.offsets.clear();
-    bin.offsets.resize(scene.grid.tiles(), 0);
-    for ((key, projected), count) in keys.iter().zip(projected).zip(counts) {
-        let Some(splat) = scene.project(key.index) else { continue };
-        let before = bin.tiles.len();
-        scene.grid.for_each_tile(&splat, |tile| {
-            if scene.open.is_open(tile) {
-                bin.tiles.push(tile);
-                bin.offsets[tile as usize] += 1;
+    let Bin { tiles, offsets, reaching } = bin;
+    tiles.clear();
+    offsets.clear();
+    offsets.resize(scene.grid.tiles(), 0);
+    scene.reaching(simd, keys, reaching);
+    for eight in reaching.chunks(LANES) {
+        let mut rows = [0; LANES];
+        for (l, row) in rows.iter_mut().enumerate() {
+            *row = keys[eight[l.min(eight.len() - 1)] as usize].index as usize;
+        }
+        let footprint = project(scene.view, &SplatGeometry::gather(simd, scene.splats, &rows), scene.options);
+        let outlines = footprint.outlines().into_iter().zip(footprint.valid());
+        for (&at, (outline, valid)) in eight.iter().zip(outlines) {
+            let (at, index) = (at as usize, keys[at as usize].index);
+            let Some(splat) = valid.then(|| scene.splat(&outline, index)).flatten() else { continue };
+            let before = tiles.len();
+            scene.grid.for_each_tile(&splat, |tile| {
+                if scene.open.is_open(tile) {
+                    tiles.push(tile);
+                    offsets[tile as usize] += 1;
+                }
+            });
+            counts[at] = (tiles.len() - before) as u32;
+            if counts[at] > 0 {
+                projected[at] = ProjectedSplat { rgb: color(scene.splats, scene.view, index), ..splat };
             }
-        });
-        *count = (bin.tiles.len() - before) as u32;
-        if *count > 0 {
-            *projected = ProjectedSplat { rgb: color(scene.splats, scene.view, key.index), ..splat };
         }
     }
 }

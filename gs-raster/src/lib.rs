@@ -74,6 +74,7 @@ mod count;
 mod forward;
 mod frame;
 mod kernel;
+mod lanes;
 pub mod measure;
 mod options;
 mod project;

@@ -110,9 +110,15 @@ fn fma_rounds<S: Simd>(simd: S, rounds: usize) -> f32 {
     let (a, b) = (f32x16::splat(simd, black_box(0.999)), f32x16::splat(simd, black_box(0.001)));
     let mut acc = [f32x16::splat(simd, black_box(1.0)); 12];
     for _ in 0..rounds {
-        acc = acc.map(|v| v.mul_add(a, b));
+        for v in &mut acc {
+            *v = v.mul_add(a, b);
+        }
     }
-    acc.into_iter().fold(f32x16::splat(simd, 0.0), |s, v| s + v).reduce_sum()
+    let mut sum = f32x16::splat(simd, 0.0);
+    for v in acc {
+        sum += v;
+    }
+    sum.reduce_sum()
 }
 
 #[inline(always)]

@@ -6,7 +6,7 @@
 //! per side. The interval is widened by a bound on its rounding error, so a list may hold a few entries too many but
 //! misses none; each pixel applies the alpha threshold itself.
 
-use crate::project::{Footprint, standard_radius};
+use crate::project::{Outline, standard_radius};
 
 /// Side of a tile, pixels.
 pub const TILE: usize = 16;
@@ -47,18 +47,18 @@ pub(crate) struct ProjectedSplat {
 }
 
 impl ProjectedSplat {
-    /// From a footprint and the support `a² + b²`; `None` if that is negative, so that no pixel reaches `min_alpha`.
+    /// From an outline and the support `a² + b²`; `None` if that is negative, so that no pixel reaches `min_alpha`.
     #[inline(always)]
-    pub(crate) fn new(fp: &Footprint, log2_opacity: f64, support: f64, depth: f64, index: u32) -> Option<Self> {
+    pub(crate) fn new(outline: &Outline, log2_opacity: f64, support: f64, index: u32) -> Option<Self> {
         if support < 0.0 {
             return None;
         }
-        let [w0, w1, w2] = fp.whitening;
+        let [w0, w1, w2] = outline.whitening;
         let slope = (w1 / w2) as f32;
         let support = (support * 1.000_01 + 1e-4) as f32;
         let radius = support.sqrt();
         Some(Self {
-            center: fp.center,
+            center: outline.center,
             whitening: [w0 * LOG2_SCALE, w1 * LOG2_SCALE, w2 * LOG2_SCALE],
             log2_opacity: log2_opacity as f32,
             support,
@@ -67,7 +67,7 @@ impl ProjectedSplat {
             slope,
             inv_w0: (1.0 / (w0 * LOG2_SCALE)) as f32,
             rgb: [0.0; 3],
-            depth: depth as f32,
+            depth: outline.depth as f32,
             index,
         })
     }

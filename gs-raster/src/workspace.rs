@@ -107,11 +107,16 @@ pub(crate) struct Bin {
     pub tiles: Vec<u32>,
     /// Per tile: number of entries, then offset of the next one in the chunk's list.
     pub offsets: Vec<u32>,
+    /// Positions in the block of the splats that may reach an open tile.
+    pub reaching: Vec<u32>,
 }
 
 /// Gradient sums of one entry: `o, sa, sb, saa, sab, sbb, r, g, b, depth`, two of the kernel's parameters, then padding
 /// to one vector (see [`crate::blend_backward`]).
-pub(crate) type Record = [f32; 16];
+pub(crate) type Record = [f32; RECORD];
+
+/// Values of a [`Record`].
+pub(crate) const RECORD: usize = 16;
 
 /// Reusable memory of the rasteriser, and the state that [`crate::render_backward`] reads. Once it has held a frame of
 /// the same size, further frames allocate next to nothing. Use one per concurrent caller.
