@@ -11,21 +11,27 @@
 //! The gradient of the image loss flows into the correction through the rasteriser. What a method makes of the camera before
 //! that (anchors decode colours for a direction of view) is taken as given: that path has no gradient.
 //!
+//! A clock may be early or late as well: a camera with images of several times can have an offset of its clock
+//! ([`clocks`](crate::clocks)), which all its images share, whether it rests or moves.
+//!
 //! The loss does not know where the world's origin is: a motion of the whole scene and of all cameras changes no training
-//! image. So held-out cameras, which no correction is learnt for, are placed anew before they are scored
+//! image, and neither does an offset of all clocks. So held-out cameras, which no correction is learnt for, are placed anew before they are scored
 //! ([`place`](crate::evaluate::place)).
 
 use crate::adam::Update;
+use crate::clocks;
 use glam::DVec3;
-use gs_core::{Camera, Param};
+use gs_core::{Camera, Param, Time};
 use gs_data::View;
 use gs_raster::CameraGrad;
 use serde::{Deserialize, Serialize};
 
 /// Names of the blocks of corrections.
-const NAMES: [&str; 3] = ["cameras.turn", "cameras.shift", "cameras.focal"];
+const NAMES: [&str; 4] = ["cameras.turn", "cameras.shift", "cameras.focal", CLOCKS];
 /// Values of a camera in each block.
-const WIDTHS: [usize; 3] = [3, 3, 1];
+const WIDTHS: [usize; 4] = [3, 3, 1, 1];
+/// Name of the block of clock offsets, the last.
+const CLOCKS: &str = "cameras.time";
 
 /// Section `[cameras]` of a configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -35,6 +41,12 @@ pub struct CameraConfig {
     pub refine: bool,
     /// Whether a focal factor of every camera is learnt with them.
     pub focal: bool,
+    /// Whether an offset of every camera's clock is learnt, with or without poses.
+    #[serde(default)]
+    pub time: bool,
+    /// Learning rate of clock offsets, normalised time.
+    #[serde(default)]
+    pub time_rate: f32,
     /// Learning rate of `w`, radians.
     pub turn_rate: f32,
     /// Learning rate of `v`, as a share of the extent of the scene.
@@ -51,7 +63,17 @@ impl Default for CameraConfig {
     /// Nothing is learnt.
     fn default() -> Self {
         let (turn_rate, shift_rate, focal_rate) = Default::default();
-        Self { refine: false, focal: false, turn_rate, shift_rate, focal_rate, rate_end: 1.0, after: 0.0 }
+        Self {
+            refine: false,
+            focal: false,
+            time: false,
+            time_rate: 0.0,
+            turn_rate,
+            shift_rate,
+            focal_rate,
+            rate_end: 1.0,
+            after: 0.0,
+        }
     }
 }
 
@@ -66,6 +88,12 @@ pub struct Correction {
     pub shift: [f32; 3],
     /// `s`, the logarithm of the focal factor.
     pub focal: f32,
+    /// Offset of the clock, normalised time: the image shows the scene at the time of the data plus this.
+    #[serde(default)]
+    pub time: f32,
+    /// [`KnownCamera::clock`].
+    #[serde(default)]
+    pub clock: f64,
 }
 
 impl Correction {
@@ -83,7 +111,7 @@ impl Correction {
     /// # Ok::<(), gs_core::camera::CameraError>(())
     /// ```
     pub fn apply(&self, camera: &Camera) -> Camera {
-        let Self { pivot, turn, shift, focal } = *self;
+        let Self { pivot, turn, shift, focal, .. } = *self;
         if (turn, shift, focal) == Default::default() {
             return camera.clone();
         }
@@ -91,6 +119,11 @@ impl Correction {
         let moved =
             Camera { translation: camera.translation - about, ..camera.clone() }.moved(vector(turn), vector(shift));
         Camera { fx: camera.fx * factor, fy: camera.fy * factor, translation: moved.translation + about, ..moved }
+    }
+
+    /// The corrected time of an image.
+    pub fn at(&self, t: Time) -> Time {
+        clocks::moved(t, self.time, self.clock)
     }
 
     /// Pulls the gradient at the corrected camera back to `w`, `v` and `s`. A change of `w` turns the camera by `J_l(w) dw`
@@ -133,6 +166,9 @@ pub struct KnownCamera {
     pub viewmat: [[f64; 4]; 3],
     /// [`Correction::pivot`].
     pub pivot: f32,
+    /// Seconds per unit of normalised time of its clock; 0 where that has no offset: of a camera with images of one time.
+    #[serde(default)]
+    pub clock: f64,
 }
 
 impl KnownCamera {
@@ -140,7 +176,7 @@ impl KnownCamera {
     pub fn new(view: &View, pivot: f32) -> Self {
         let (rows, t) = (view.camera.rotation.transpose().to_cols_array_2d(), view.camera.translation);
         let viewmat = [0, 1, 2].map(|r| [rows[r][0], rows[r][1], rows[r][2], t[r]]);
-        Self { name: view.name.clone(), camera_id: view.camera_id, viewmat, pivot }
+        Self { name: view.name.clone(), camera_id: view.camera_id, viewmat, pivot, clock: 0.0 }
     }
 
     /// Whether it is the same camera in the same pose.
@@ -154,8 +190,8 @@ impl KnownCamera {
 pub struct Cameras {
     config: CameraConfig,
     known: Vec<KnownCamera>,
-    /// `w`, `v` and `s` of all cameras.
-    blocks: [Param; 3],
+    /// `w`, `v`, `s` and the clock offsets of all cameras.
+    blocks: [Param; 4],
 }
 
 impl Default for Cameras {
@@ -190,8 +226,21 @@ impl Cameras {
     /// The correction of a camera; none beyond the last.
     pub fn correction(&self, row: usize) -> Correction {
         let at = |block: usize, k: usize| self.blocks[block].value.get(WIDTHS[block] * row + k).copied().unwrap_or(0.0);
-        let pivot = self.known.get(row).map_or(0.0, |known| known.pivot);
-        Correction { pivot, turn: [0, 1, 2].map(|k| at(0, k)), shift: [0, 1, 2].map(|k| at(1, k)), focal: at(2, 0) }
+        let [pivot, clock] = self.known.get(row).map_or([0.0; 2], |known| [f64::from(known.pivot), known.clock]);
+        Correction {
+            pivot: pivot as f32,
+            turn: [0, 1, 2].map(|k| at(0, k)),
+            shift: [0, 1, 2].map(|k| at(1, k)),
+            focal: at(2, 0),
+            time: self.blocks[3].value.get(self.clock_row(row)).copied().unwrap_or(0.0),
+            clock,
+        }
+    }
+
+    /// The row that the clock of a camera is kept in: the first of the same number.
+    fn clock_row(&self, row: usize) -> usize {
+        let id = self.known.get(row).map(|known| known.camera_id);
+        self.known.iter().position(|known| Some(known.camera_id) == id).unwrap_or(row)
     }
 
     /// The number of the correction for the camera of a view.
@@ -211,10 +260,13 @@ impl Cameras {
     /// Gives the cameras of training views that have no correction one of zero, where corrections are to be learnt. Turns are
     /// about the depth of the middle of the scene, at least half its extent away (both in world units).
     pub(crate) fn meet(&mut self, views: &[View], middle: DVec3, extent: f32) {
-        for view in views.iter().filter(|_| self.config.refine) {
+        let seconds = clocks::seconds_per_unit(views);
+        for view in views.iter().filter(|_| self.config.refine || self.config.time) {
             if self.row(view).is_none() {
                 let depth = view.camera.to_camera(middle).z.max(0.5 * f64::from(extent));
-                self.known.push(KnownCamera::new(view, depth as f32));
+                let of = |other: &&View| other.camera_id == view.camera_id && other.time != view.time;
+                let clock = if views.iter().any(|other| of(&other)) { seconds } else { 0.0 };
+                self.known.push(KnownCamera { clock, ..KnownCamera::new(view, depth as f32) });
             }
         }
         for (block, width) in self.blocks.iter_mut().zip(WIDTHS) {
@@ -225,22 +277,32 @@ impl Cameras {
         }
     }
 
-    /// The blocks, in a fixed order; none without cameras.
+    /// The blocks, in a fixed order: those of the clocks where they learn; none without cameras.
     pub(crate) fn blocks(&self) -> &[Param] {
-        if self.is_empty() { &[] } else { &self.blocks }
+        &self.blocks[..self.used()]
     }
 
     /// The same, to change them.
     pub(crate) fn blocks_mut(&mut self) -> &mut [Param] {
-        if self.is_empty() { &mut [] } else { &mut self.blocks }
+        let used = self.used();
+        &mut self.blocks[..used]
+    }
+
+    fn used(&self) -> usize {
+        if self.is_empty() { 0 } else { NAMES.len() - usize::from(!self.config.time) }
     }
 
     /// How a block is updated at a share of the run, if it learns then; none of other names. `extent` in world units.
     pub(crate) fn update(&self, name: &str, share: f64, extent: f32) -> Option<Update> {
         let c = &self.config;
-        let rates = [c.turn_rate, c.shift_rate * extent, if c.focal { c.focal_rate } else { 0.0 }];
+        let rates = [
+            if c.refine { c.turn_rate } else { 0.0 },
+            if c.refine { c.shift_rate * extent } else { 0.0 },
+            if c.refine && c.focal { c.focal_rate } else { 0.0 },
+            if c.time { c.time_rate } else { 0.0 },
+        ];
         let rate = rates[NAMES.iter().position(|n| *n == name)?];
-        if !c.refine || rate <= 0.0 || share < c.after {
+        if rate <= 0.0 || share < c.after {
             return None;
         }
         let fallen = f64::from(c.rate_end).powf((share - c.after) / (1.0 - c.after).max(1e-9));
@@ -251,6 +313,19 @@ impl Cameras {
     /// Whether a block of this name is one of corrections.
     pub(crate) fn owns(name: &str) -> bool {
         NAMES.contains(&name)
+    }
+
+    /// Whether a block of this name is the one of clocks.
+    pub(crate) fn is_clocks(name: &str) -> bool {
+        name == CLOCKS
+    }
+
+    /// Adds the gradient with respect to the time of a view. One that is not finite is left out.
+    pub(crate) fn add_time_gradient(&mut self, row: usize, slope: f64) {
+        let row = self.clock_row(row);
+        if let Some(to) = self.blocks[3].grad.get_mut(row).filter(|_| slope.is_finite()) {
+            *to += slope as f32;
+        }
     }
 
     /// Adds the gradient at the corrected camera of a view. One that is not finite is left out.
@@ -302,6 +377,7 @@ mod tests {
                 turn: [draw(), draw(), draw()],
                 shift: [draw(), draw(), draw()],
                 focal: draw(),
+                ..Correction::default()
             };
             let (turn, shift, focal) = at.pull_back(&camera, &grad);
             let got: Vec<f64> = turn.into_iter().chain(shift).chain([focal]).collect();

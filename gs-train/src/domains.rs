@@ -92,6 +92,7 @@ pub const SHARED: &[Domain] = &[
     within("cameras.turn_rate", 0.0, 1.0),
     within("cameras.shift_rate", 0.0, 1.0),
     within("cameras.focal_rate", 0.0, 1.0),
+    within("cameras.time_rate", 0.0, 1.0),
     within("cameras.rate_end", 1e-6, 1.0),
     within("cameras.after", 0.0, 1.0),
     length("sh_every", 0.0),

@@ -380,8 +380,9 @@ pub fn evaluate_splats(
     let corrections = place(model, splats, views, background, images, share)?;
     let scored = share.each(views.len(), |k| {
         let view = &views[k];
-        let camera = corrections[k].unwrap_or_default().apply(&images.camera(view));
-        let splats = splats(&Timestamp::new(view.time), &camera);
+        let correction = corrections[k].unwrap_or_default();
+        let camera = correction.apply(&images.camera(view));
+        let splats = splats(&Timestamp::new(correction.at(view.time)), &camera);
         let splats = splats.map_err(|e| EvalError::Method { view: view.name.clone(), source: Box::new(e) })?;
         rasterizer.render_into(splats.view(), &camera, &options, &mut frame)?;
         let image = images.get(view)?;

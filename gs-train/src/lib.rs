@@ -28,6 +28,7 @@ pub mod cameras;
 pub mod canonical;
 pub mod capabilities;
 pub mod checkpoint;
+mod clocks;
 #[cfg(feature = "conformance")]
 pub mod conformance;
 pub mod densify;

@@ -71,9 +71,16 @@ impl Model {
         self.cameras.update(&p.name, share, extent).filter(|_| !self.schedule.field_alone(step))
     }
 
-    /// Whether corrections of cameras learn in a step.
+    /// Whether corrections of poses learn in a step.
     pub(crate) fn refines_cameras(&self, step: u32) -> bool {
-        self.cameras.blocks().iter().any(|p| self.update(p, step, 1.0).is_some())
+        let learns = |p: &Param| !Cameras::is_clocks(&p.name) && self.update(p, step, 1.0).is_some();
+        self.cameras.blocks().iter().any(learns)
+    }
+
+    /// Whether offsets of clocks learn in a step.
+    pub(crate) fn refines_clocks(&self, step: u32) -> bool {
+        let learns = |p: &Param| Cameras::is_clocks(&p.name) && self.update(p, step, 1.0).is_some();
+        self.cameras.blocks().iter().any(learns)
     }
 
     /// How frames are mapped to the colours of a training image in a step, if they are.

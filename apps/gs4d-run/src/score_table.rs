@@ -77,8 +77,10 @@ pub(crate) fn conditions(dataset: &Dataset, images: &ImageCache, scores: &EvalRe
     let views = dataset.views(split_of(scores));
     let background = color_name(scores.background);
     let refined = scores.cameras.as_ref().map_or(String::new(), |c| {
-        let RefinedCameras { count, turn, shift, held_out, .. } = c;
-        format!(" Cameras: {count} corrections, {turn:.3}° and {shift:.4} world units (root mean squares); {held_out}.")
+        let RefinedCameras { count, turn, shift, time, held_out, .. } = c;
+        let clocks = if *time > 0.0 { format!(", {time:.4} of the time span") } else { String::new() };
+        let sizes = format!("{turn:.3}° and {shift:.4} world units{clocks} (root mean squares)");
+        format!(" Cameras: {count} corrections, {sizes}; {held_out}.")
     });
     let size = size_text(views, images);
     format!("{} {} views, {size}, over {background}, {masked}.{refined}", views.len(), scores.split)

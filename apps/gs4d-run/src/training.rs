@@ -387,8 +387,9 @@ impl Training {
     fn refined_cameras(&self) -> Vec<NamedCamera> {
         let corrections = self.trainer.model().cameras();
         let refined = self.trainer.dataset().train.iter().filter_map(|view| {
-            let camera = corrections.of(view)?.apply(&view.camera);
-            Some(NamedCamera { name: view.name.clone(), camera, time: Some(view.time.normalised) })
+            let correction = corrections.of(view)?;
+            let time = Some(correction.at(view.time).normalised);
+            Some(NamedCamera { name: view.name.clone(), camera: correction.apply(&view.camera), time })
         });
         refined.collect()
     }

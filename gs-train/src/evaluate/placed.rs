@@ -6,6 +6,7 @@
 use super::EvalError;
 use crate::adam::{Adam, Refused, Update};
 use crate::cameras::{CameraConfig, Cameras, Correction, KnownCamera};
+use crate::clocks;
 use crate::method::MethodError;
 use crate::model::Model;
 use crate::ranks::Share;
@@ -17,13 +18,16 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// How held-out cameras are placed, in words.
-const PLACED: &str = "training cameras were refined; held-out cameras that are not among them are placed anew by 100 \
-                          steps on the squared error of their own images, the scene at rest, before they are scored";
+const PLACED: &str = "training cameras were refined; held-out cameras that are not among them are placed anew (pose, clock \
+                          or both, as was learnt) by 100 steps on the squared error of their own images, the scene at rest, \
+                          before they are scored";
 
 /// Steps of a camera.
 const STEPS: i32 = 100;
 /// Length of the first step, and of the last, pixels.
 const PIXELS: [f64; 2] = [1.0, 0.01];
+/// Length of the first step of a clock, and of the last, normalised time.
+const TIMES: [f64; 2] = [5e-3, 5e-5];
 /// At most so many of the views of a camera are looked at.
 const VIEWS: usize = 8;
 
@@ -38,6 +42,9 @@ pub struct RefinedCameras {
     pub shift: f64,
     /// Root mean square of the changes of focal lengths, as shares of them.
     pub focal: f64,
+    /// Root mean square of the offsets of clocks, normalised time.
+    #[serde(default)]
+    pub time: f64,
     /// How held-out cameras were placed, in words.
     pub held_out: String,
 }
@@ -59,6 +66,7 @@ impl RefinedCameras {
             turn: mean(|c| length_squared(&c.turn)).to_degrees(),
             shift: mean(|c| length_squared(&c.shift)),
             focal: mean(|c| f64::from(c.focal).exp_m1().powi(2)),
+            time: mean(|c| f64::from(c.time).powi(2)),
             held_out: PLACED.to_owned(),
         })
     }
@@ -90,12 +98,15 @@ pub fn place(
             None => groups.push((camera, vec![k])),
         }
     }
+    let seconds = cameras.known().iter().map(|known| known.clock).find(|clock| *clock != 0.0).unwrap_or(0.0);
     let placed = share.each(groups.len(), |group| {
         let members = &groups[group].1;
+        let first = members.first().map(|k| views[*k].time);
+        let clock = if members.iter().any(|k| Some(views[*k].time) != first) { seconds } else { 0.0 };
         let step = members.len().div_ceil(VIEWS);
         let seen: Vec<&View> = members.iter().step_by(step).map(|k| &views[*k]).collect();
         let options = model.raster_options(background);
-        Placing { splats, images, options, focal: cameras.config().focal }.of(&seen)
+        Placing { splats, images, options, learnt: *cameras.config(), clock }.of(&seen)
     })?;
     for ((_, members), correction) in groups.iter().zip(placed) {
         members.iter().for_each(|k| found[*k] = Some(correction));
@@ -108,12 +119,16 @@ struct Placing<'a> {
     splats: &'a dyn Fn(&Timestamp, &Camera) -> Result<Splats, MethodError>,
     images: &'a ImageCache,
     options: RasterOptions,
-    focal: bool,
+    /// What was learnt of the training cameras.
+    learnt: CameraConfig,
+    /// [`KnownCamera::clock`].
+    clock: f64,
 }
 
 /// A view of a camera: its camera in the data, the splats at its time, its image and where that counts.
 struct Seen {
     camera: Camera,
+    at: Timestamp,
     splats: Splats,
     truth: Image,
     mask: Option<Arc<Image>>,
@@ -128,20 +143,34 @@ impl Placing<'_> {
         let (mut grad, mut stats) = (SplatsGrad::default(), ScreenStats::default());
         render_into(&first.splats, &first.camera, &self.options, &mut workspace, &mut frame);
         let depth = mean_depth(&frame);
-        let mut own = Cameras::new(CameraConfig::default(), vec![KnownCamera::new(view, depth as f32)]);
+        let known = KnownCamera { clock: self.clock, ..KnownCamera::new(view, depth as f32) };
+        let mut own = Cameras::new(self.learnt, vec![known]);
+        let learns_time = self.learnt.time && self.clock != 0.0;
+        let falling =
+            |[first, last]: [f64; 2], step| first * (last / first).powf(f64::from(step) / f64::from(STEPS - 1));
         let mut adam = Adam::default();
         for (step, seen) in (0..STEPS).zip(seen.iter().cycle()) {
-            let camera = own.correction(0).apply(&seen.camera);
-            render_into(&seen.splats, &camera, &self.options, &mut workspace, &mut frame);
+            let correction = own.correction(0);
+            let camera = correction.apply(&seen.camera);
+            let at = Timestamp::new(correction.at(seen.at.t));
+            let splats = |at: &Timestamp| (self.splats)(at, &seen.camera);
+            let failed = |e| EvalError::Method { view: view.name.clone(), source: Box::new(e) };
+            let moved = learns_time.then(|| splats(&at)).transpose().map_err(failed)?;
+            let shown = moved.as_ref().unwrap_or(&seen.splats);
+            render_into(shown, &camera, &self.options, &mut workspace, &mut frame);
             let d = FrameGrad { rgb: seen.cotangents(&frame), ..FrameGrad::default() };
             let options = &self.options;
             let camera_grad =
-                render_backward_with_camera(&seen.splats, &camera, options, &mut workspace, &d, &mut grad, &mut stats);
+                render_backward_with_camera(shown, &camera, options, &mut workspace, &d, &mut grad, &mut stats);
             own.add_gradient(0, &seen.camera, &camera_grad);
-            let pixels = PIXELS[0] * (PIXELS[1] / PIXELS[0]).powf(f64::from(step) / f64::from(STEPS - 1));
+            if learns_time {
+                own.add_time_gradient(0, clocks::slope(&splats, at.t, self.clock, &grad).map_err(failed)?);
+            }
+            let pixels = if self.learnt.refine { falling(PIXELS, step) } else { 0.0 };
             let turn = pixels / first.camera.fx;
-            let zoom = if self.focal { 2.0 * pixels / f64::from(first.camera.width) } else { 0.0 };
-            for (block, rate) in own.blocks_mut().iter_mut().zip([turn, turn * depth, zoom]) {
+            let zoom = if self.learnt.focal { 2.0 * pixels / f64::from(first.camera.width) } else { 0.0 };
+            let rates = [turn, turn * depth, zoom, falling(TIMES, step)];
+            for (block, rate) in own.blocks_mut().iter_mut().zip(rates) {
                 let update = Update { rate: rate as f32, eps: 1e-15, sparse: false, weight_decay: 0.0 };
                 adam.update(block, update, &mut Refused::default());
             }
@@ -151,10 +180,11 @@ impl Placing<'_> {
 
     fn see(&self, view: &View) -> Result<Seen, EvalError> {
         let camera = self.images.camera(view);
-        let splats = (self.splats)(&Timestamp::new(view.time), &camera);
+        let at = Timestamp::new(view.time);
+        let splats = (self.splats)(&at, &camera);
         let splats = splats.map_err(|e| EvalError::Method { view: view.name.clone(), source: Box::new(e) })?;
         let truth = self.images.get(view)?.over(self.options.background);
-        Ok(Seen { camera, splats, truth, mask: self.images.mask(view)? })
+        Ok(Seen { camera, at, splats, truth, mask: self.images.mask(view)? })
     }
 }
 

@@ -5,10 +5,12 @@ use super::render_pass::{Phases, Stopwatch, ViewLoss, ViewPass};
 use super::sums::{Columns, Sums};
 use super::team::all_gather_results;
 use super::{TrainError, Trainer};
+use crate::clocks;
 use crate::loss::LossValues;
 use crate::method::{LossValue, MethodError, ViewCtx};
 use crate::ranks::tree::{Node, run_of};
 use crate::timestamp::Timestamp;
+use gs_core::SplatsGrad;
 use gs_data::View;
 use std::borrow::Cow;
 use std::ops::Range;
@@ -150,13 +152,16 @@ impl Trainer {
         let background = schedule.background.color(self.options.seed, draw);
         let given = self.images.camera(view);
         let row = self.model.cameras().row(view);
-        let camera = row.map_or_else(|| given.clone(), |row| self.model.cameras().correction(row).apply(&given));
+        let correction = row.map(|row| self.model.cameras().correction(row)).unwrap_or_default();
+        let (camera, at) = (correction.apply(&given), Timestamp::new(correction.at(view.time)));
+        let learns_time = correction.clock != 0.0 && self.model.refines_clocks(views.step);
         let mut pass = ViewPass {
             pass: &mut self.pass,
             images: &self.images,
             view,
             camera: &camera,
             camera_grad: row.filter(|_| self.model.refines_cameras(views.step)).map(|_| Default::default()),
+            motion_grad: learns_time.then(SplatsGrad::default),
             options: schedule.raster_options(background),
             exposure: self.model.exposure(views.step, views.indices[leaf]),
             share: 1.0 / views.drawn.len() as f32,
@@ -164,8 +169,8 @@ impl Trainer {
             data_error: None,
         };
         let last = leaf == views.last();
-        let terms = self.model.step(&ViewCtx { at: Timestamp::new(view.time), camera: &camera, last }, &mut pass);
-        let ViewPass { mut result, data_error, camera_grad, .. } = pass;
+        let terms = self.model.step(&ViewCtx { at, camera: &camera, last }, &mut pass);
+        let ViewPass { mut result, data_error, camera_grad, motion_grad, .. } = pass;
         if let Some(e) = data_error {
             return Err(e.into());
         }
@@ -177,6 +182,11 @@ impl Trainer {
         })?;
         if let (Some(row), Some(grad)) = (row, camera_grad) {
             self.model.cameras_mut().add_gradient(row, &given, &grad);
+        }
+        if let (Some(row), Some(grad)) = (row, motion_grad.filter(|grad| !grad.means.is_empty())) {
+            let splats = |at: &Timestamp| self.model.splats(at, &camera);
+            let slope = clocks::slope(&splats, at.t, correction.clock, &grad)?;
+            self.model.cameras_mut().add_time_gradient(row, slope);
         }
         result.own = terms.into_iter().map(|(name, value)| (name.into(), value)).collect();
         let ms = &mut result.ms;

@@ -1,6 +1,7 @@
 //! The image side of a training view: splats to a frame, the frame against the ground truth, the loss back to the splats.
 
 use super::{TrainError, Trainer};
+use crate::clocks::motion_columns;
 use crate::device::Device;
 use crate::loss::{ExposureFit, GroundTruth, ImageLoss, LossValues};
 use crate::method::{MethodError, RenderView};
@@ -67,6 +68,8 @@ pub(super) struct ViewPass<'a> {
     pub camera: &'a Camera,
     /// Gradient with respect to the camera, where that learns.
     pub camera_grad: Option<CameraGrad>,
+    /// Gradient of the splats' columns that move, where the camera's clock learns.
+    pub motion_grad: Option<SplatsGrad>,
     /// How to render, over the background of this view.
     pub options: RasterOptions,
     /// How the frame is mapped to the colours of its image, where it is.
@@ -150,6 +153,9 @@ impl RenderView for ViewPass<'_> {
             stats.grad_means2d.as_flattened_mut().iter_mut().for_each(|g| *g /= self.share);
         }
         self.result.non_finite = zero_non_finite(grad);
+        if let Some(kept) = &mut self.motion_grad {
+            *kept = motion_columns(grad);
+        }
         self.result.splats = splats.len();
         ms.raster_backward += clock.lap();
         Ok(stats)
