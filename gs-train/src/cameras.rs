@@ -25,6 +25,7 @@ use gs_core::{Camera, Param, Time};
 use gs_data::View;
 use gs_raster::CameraGrad;
 use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Names of the blocks of corrections.
 const NAMES: [&str; 4] = ["cameras.turn", "cameras.shift", "cameras.focal", CLOCKS];
@@ -166,7 +167,8 @@ pub struct KnownCamera {
     pub viewmat: [[f64; 4]; 3],
     /// [`Correction::pivot`].
     pub pivot: f32,
-    /// Seconds per unit of normalised time of its clock; 0 where that has no offset: of a camera with images of one time.
+    /// Seconds per unit of normalised time of its clock; 0 where no offset is learnt: unless asked for, and of a camera with
+    /// images of one time.
     #[serde(default)]
     pub clock: f64,
 }
@@ -260,13 +262,19 @@ impl Cameras {
     /// Gives the cameras of training views that have no correction one of zero, where corrections are to be learnt. Turns are
     /// about the depth of the middle of the scene, at least half its extent away (both in world units).
     pub(crate) fn meet(&mut self, views: &[View], middle: DVec3, extent: f32) {
-        let seconds = clocks::seconds_per_unit(views);
         for view in views.iter().filter(|_| self.config.refine || self.config.time) {
             if self.row(view).is_none() {
                 let depth = view.camera.to_camera(middle).z.max(0.5 * f64::from(extent));
-                let of = |other: &&View| other.camera_id == view.camera_id && other.time != view.time;
-                let clock = if views.iter().any(|other| of(&other)) { seconds } else { 0.0 };
-                self.known.push(KnownCamera { clock, ..KnownCamera::new(view, depth as f32) });
+                self.known.push(KnownCamera::new(view, depth as f32));
+            }
+        }
+        if self.config.time {
+            let seconds = clocks::seconds_per_unit(views);
+            let mut first = BTreeMap::new();
+            let several = |view: &&View| *first.entry(view.camera_id).or_insert(view.time) != view.time;
+            let timed: BTreeSet<u32> = views.iter().filter(several).map(|view| view.camera_id).collect();
+            for known in self.known.iter_mut().filter(|known| timed.contains(&known.camera_id)) {
+                known.clock = seconds;
             }
         }
         for (block, width) in self.blocks.iter_mut().zip(WIDTHS) {
@@ -277,7 +285,7 @@ impl Cameras {
         }
     }
 
-    /// The blocks, in a fixed order: those of the clocks where they learn; none without cameras.
+    /// The blocks, in a fixed order; that of the clocks only where one has an offset; none without cameras.
     pub(crate) fn blocks(&self) -> &[Param] {
         &self.blocks[..self.used()]
     }
@@ -289,7 +297,8 @@ impl Cameras {
     }
 
     fn used(&self) -> usize {
-        if self.is_empty() { 0 } else { NAMES.len() - usize::from(!self.config.time) }
+        let clocks = self.known.iter().any(|known| known.clock != 0.0);
+        if self.is_empty() { 0 } else { NAMES.len() - usize::from(!clocks) }
     }
 
     /// How a block is updated at a share of the run, if it learns then; none of other names. `extent` in world units.

@@ -4,6 +4,7 @@ use gs_core::Rng;
 use gs_data::{Dataset, ImageCache, Split};
 use gs_synth::SynthOptions;
 use gs_train::evaluate::{EvalReport, evaluate};
+use gs_train::registry::overlay;
 use gs_train::testkit::{on_ranks, run, start, thread_difference, timeless};
 use gs_train::trainer::Trainer;
 use std::sync::Arc;
@@ -114,6 +115,18 @@ fn offsets_are_the_same_bits_for_any_threads_and_ranks_and_after_a_resume() {
     let mut resumed = Trainer::resume(registry, data.clone(), &half, None, 1 << 20).expect("resume");
     run(&mut resumed, 20);
     assert!(timeless(resumed.state()) == end, "resumed");
+    // A run that is to learn no more keeps its offsets, and one that learnt none can begin to.
+    let mut rests = config.clone();
+    overlay(&mut rests, "cameras.time = false".parse().expect("TOML"));
+    let mut resting = Trainer::resume(registry, data.clone(), &whole.state(), Some(&rests), 1 << 20).expect("resume");
+    let before = resting.model().cameras().correction(1).time;
+    run(&mut resting, 10);
+    assert!(before != 0.0 && resting.model().cameras().correction(1).time == before);
+    let mut none = start(registry, &data, "fourdgs", &rests, 3);
+    run(&mut none, 5);
+    let mut late = Trainer::resume(registry, data.clone(), &none.state(), Some(&config), 1 << 20).expect("resume");
+    run(&mut late, 35);
+    assert!(late.model().cameras().correction(1).time != 0.0);
     let ended = on_ranks(registry, &data, begin(), 2, |mut trainer| {
         run(&mut trainer, 40);
         trainer.gather().expect("state");

@@ -98,6 +98,7 @@ pub fn place(
             None => groups.push((camera, vec![k])),
         }
     }
+    let learnt: Vec<Correction> = (0..cameras.known().len()).map(|row| cameras.correction(row)).collect();
     let seconds = cameras.known().iter().map(|known| known.clock).find(|clock| *clock != 0.0).unwrap_or(0.0);
     let placed = share.each(groups.len(), |group| {
         let members = &groups[group].1;
@@ -106,7 +107,7 @@ pub fn place(
         let step = members.len().div_ceil(VIEWS);
         let seen: Vec<&View> = members.iter().step_by(step).map(|k| &views[*k]).collect();
         let options = model.raster_options(background);
-        Placing { splats, images, options, learnt: *cameras.config(), clock }.of(&seen)
+        Placing { splats, images, options, learnt: &learnt, clock }.of(&seen)
     })?;
     for ((_, members), correction) in groups.iter().zip(placed) {
         members.iter().for_each(|k| found[*k] = Some(correction));
@@ -119,8 +120,8 @@ struct Placing<'a> {
     splats: &'a dyn Fn(&Timestamp, &Camera) -> Result<Splats, MethodError>,
     images: &'a ImageCache,
     options: RasterOptions,
-    /// What was learnt of the training cameras.
-    learnt: CameraConfig,
+    /// Of the training cameras.
+    learnt: &'a [Correction],
     /// [`KnownCamera::clock`].
     clock: f64,
 }
@@ -144,8 +145,10 @@ impl Placing<'_> {
         render_into(&first.splats, &first.camera, &self.options, &mut workspace, &mut frame);
         let depth = mean_depth(&frame);
         let known = KnownCamera { clock: self.clock, ..KnownCamera::new(view, depth as f32) };
-        let mut own = Cameras::new(self.learnt, vec![known]);
-        let learns_time = self.learnt.time && self.clock != 0.0;
+        let mut own = Cameras::new(CameraConfig::default(), vec![known]);
+        let learnt = |what: fn(&Correction) -> bool| self.learnt.iter().any(what);
+        let poses = learnt(|c| (c.turn, c.shift) != Default::default());
+        let (focal, learns_time) = (learnt(|c| c.focal != 0.0), self.clock != 0.0 && learnt(|c| c.time != 0.0));
         let falling =
             |[first, last]: [f64; 2], step| first * (last / first).powf(f64::from(step) / f64::from(STEPS - 1));
         let mut adam = Adam::default();
@@ -166,9 +169,9 @@ impl Placing<'_> {
             if learns_time {
                 own.add_time_gradient(0, clocks::slope(&splats, at.t, self.clock, &grad).map_err(failed)?);
             }
-            let pixels = if self.learnt.refine { falling(PIXELS, step) } else { 0.0 };
-            let turn = pixels / first.camera.fx;
-            let zoom = if self.learnt.focal { 2.0 * pixels / f64::from(first.camera.width) } else { 0.0 };
+            let pixels = falling(PIXELS, step);
+            let turn = if poses { pixels / first.camera.fx } else { 0.0 };
+            let zoom = if focal { 2.0 * pixels / f64::from(first.camera.width) } else { 0.0 };
             let rates = [turn, turn * depth, zoom, falling(TIMES, step)];
             for (block, rate) in own.blocks_mut().iter_mut().zip(rates) {
                 let update = Update { rate: rate as f32, eps: 1e-15, sparse: false, weight_decay: 0.0 };
