@@ -297,8 +297,12 @@ impl Cameras {
     }
 
     fn used(&self) -> usize {
-        let clocks = self.known.iter().any(|known| known.clock != 0.0);
-        if self.is_empty() { 0 } else { NAMES.len() - usize::from(!clocks) }
+        if self.is_empty() { 0 } else { NAMES.len() - usize::from(!self.has_clocks()) }
+    }
+
+    /// Whether the clock of some camera has an offset.
+    pub(crate) fn has_clocks(&self) -> bool {
+        self.known.iter().any(|known| known.clock != 0.0)
     }
 
     /// How a block is updated at a share of the run, if it learns then; none of other names. `extent` in world units.

@@ -138,6 +138,11 @@ impl Trainer {
         check_run(&model, &dataset)?;
         let middle = 0.5 * (scene.bounds[0] + scene.bounds[1]);
         model.cameras_mut().meet(&dataset.train, middle.as_dvec3(), scene.extent);
+        if model.cameras().config().time && !model.cameras().has_clocks() {
+            let why = "cameras.time is on, and no camera has training images of several times (the data tell cameras apart by \
+                       their numbers: `camera_index` in nerfstudio's layout; D-NeRF's has none); set it false";
+            return Err(MethodError::Config { method: model.name(), why: why.into() }.into());
+        }
         let images = Arc::new(ImageCache::new(options.image_bytes, 1.0));
         let order = ViewOrder::new(options.seed, dataset.train.iter().map(|v| v.time.normalised).collect());
         let (adam, pass, config, updates) = (
