@@ -12,7 +12,7 @@
 //! that (anchors decode colours for a direction of view) is taken as given: that path has no gradient.
 //!
 //! A clock may be early or late as well: a camera with images of several times can have an offset of its clock
-//! ([`clocks`](crate::clocks)), which all its images share, whether it rests or moves.
+//! (by a central difference of the splats over time), which all its images share, whether it rests or moves.
 //!
 //! The loss does not know where the world's origin is: a motion of the whole scene and of all cameras changes no training
 //! image, and neither does an offset of all clocks. So held-out cameras, which no correction is learnt for, are placed anew before they are scored
