@@ -12,7 +12,7 @@
 //! that (anchors decode colours for a direction of view) is taken as given: that path has no gradient.
 //!
 //! A clock may be early or late as well: a camera with images of several times can have an offset of its clock
-//! (by a central difference of the splats over time), which all its images share, whether it rests or moves.
+//! that is learnt by a central difference of the splats over time; all its images share it, whether it rests or moves.
 //!
 //! The loss does not know where the world's origin is: a motion of the whole scene and of all cameras changes no training
 //! image, and neither does an offset of all clocks. So held-out cameras, which no correction is learnt for, are placed anew before they are scored
@@ -228,9 +228,9 @@ impl Cameras {
     /// The correction of a camera; none beyond the last.
     pub fn correction(&self, row: usize) -> Correction {
         let at = |block: usize, k: usize| self.blocks[block].value.get(WIDTHS[block] * row + k).copied().unwrap_or(0.0);
-        let [pivot, clock] = self.known.get(row).map_or([0.0; 2], |known| [f64::from(known.pivot), known.clock]);
+        let (pivot, clock) = self.known.get(row).map(|known| (known.pivot, known.clock)).unwrap_or_default();
         Correction {
-            pivot: pivot as f32,
+            pivot,
             turn: [0, 1, 2].map(|k| at(0, k)),
             shift: [0, 1, 2].map(|k| at(1, k)),
             focal: at(2, 0),
