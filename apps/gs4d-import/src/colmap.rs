@@ -22,6 +22,8 @@ pub enum CameraModel {
     Radial,
     /// Two focal lengths, `k1 k2 p1 p2`.
     Opencv,
+    /// A fisheye: two focal lengths, `k1 k2 k3 k4`.
+    OpencvFisheye,
 }
 
 impl CameraModel {
@@ -33,19 +35,21 @@ impl CameraModel {
             Self::SimpleRadial => "SIMPLE_RADIAL",
             Self::Radial => "RADIAL",
             Self::Opencv => "OPENCV",
+            Self::OpencvFisheye => "OPENCV_FISHEYE",
         }
     }
 
     /// Parameters without distortion for a horizontal field of view, degrees.
     fn parameters(self, [width, height]: [u32; 2], fov: f64) -> String {
         let [w, h] = [width, height].map(f64::from);
-        let f = 0.5 * w / (0.5 * fov.to_radians()).tan();
+        let half = 0.5 * fov.to_radians();
+        let f = 0.5 * w / if self == Self::OpencvFisheye { half } else { half.tan() };
         let (focal, distortion) = match self {
             Self::SimplePinhole => (1, 0),
             Self::Pinhole => (2, 0),
             Self::SimpleRadial => (1, 1),
             Self::Radial => (1, 2),
-            Self::Opencv => (2, 4),
+            Self::Opencv | Self::OpencvFisheye => (2, 4),
         };
         let mut all = vec![f; focal];
         all.extend([0.5 * w, 0.5 * h]);

@@ -40,7 +40,8 @@ impl Frame {
         self.mask.iter().for_each(|m| put("mask_path", json!(m)));
         let intrinsics = [("fl_x", c.fx), ("fl_y", c.fy), ("cx", c.cx), ("cy", c.cy)];
         let sides = [("w", c.width), ("h", c.height)].map(|(key, side)| (key, f64::from(side)));
-        let distortion = [("k1", lens.k1), ("k2", lens.k2), ("p1", lens.p1), ("p2", lens.p2)];
+        let rest = if lens.fisheye { [("k3", lens.k3), ("k4", lens.k4)] } else { [("p1", lens.p1), ("p2", lens.p2)] };
+        let distortion = [("k1", lens.k1), ("k2", lens.k2)].into_iter().chain(rest);
         intrinsics.into_iter().chain(sides).chain(distortion).for_each(|(key, value)| put(key, json!(value)));
         Value::Object(frame)
     }
@@ -55,7 +56,7 @@ pub(crate) fn write(
 ) -> Result<(), ImportError> {
     write_file(&data.join("points.ply"), true, |out| ply::write_points(points, out))?;
     let mut top = json!({
-        "camera_model": "OPENCV",
+        "camera_model": if frames.iter().any(|f| f.posed.lens.fisheye) { "OPENCV_FISHEYE" } else { "OPENCV" },
         "ply_file_path": "points.ply",
         "frames": frames.iter().map(Frame::json).collect::<Vec<_>>(),
     });
@@ -102,18 +103,23 @@ mod tests {
                 posed: Posed { camera, lens },
             }
         };
-        let frames: Vec<Frame> = (0..6).map(frame).collect();
+        let mut frames: Vec<Frame> = (0..6).map(frame).collect();
         let points = PointCloud { positions: vec![glam::Vec3::ONE], colors: vec![[1.0, 0.0, 0.0]] };
         write(dir.path(), &frames, &points, Some(1)).unwrap();
         let data = Dataset::open(dir.path(), &DataOptions::default()).unwrap();
         assert_eq!((data.layout, data.train.len(), data.test.len()), ("nerfstudio", 3, 3));
         let view = &data.train[2];
         assert!((view.time.seconds - 0.4).abs() < 1e-9 && view.camera_id == 0 && data.test[0].camera_id == 1);
-        let truth = &frames[2].posed;
+        let truth = frames[2].posed.clone();
         assert!(view.camera.position().distance(truth.camera.position()) < 1e-9);
         let ahead = DVec3::new(0.1, 0.2, 0.3);
         let [a, b] = [&view.camera, &truth.camera].map(|c| c.to_pixel(c.to_camera(ahead)));
         assert!(a.distance(b) < 1e-9 && view.lens == Some(truth.lens));
+        let fisheye = Lens { fisheye: true, k1: -0.05, k3: 0.01, k4: 0.002, ..Lens::default() };
+        frames.iter_mut().for_each(|f| f.posed.lens = fisheye);
+        write(dir.path(), &frames, &points, None).unwrap();
+        let read = Dataset::open(dir.path(), &DataOptions::default()).unwrap();
+        assert!(read.train.iter().all(|v| v.lens == Some(fisheye)));
         assert_eq!(data.points.unwrap(), points);
     }
 }

@@ -75,7 +75,7 @@ struct Entry {
 struct Key {
     file: PathBuf,
     memory: usize,
-    bits: [u64; 10],
+    bits: [u64; 12],
     opaque: bool,
     cut_out: bool,
 }
@@ -285,7 +285,7 @@ fn source_key(source: &ImageSource, v: &View) -> Key {
 
 /// What pixels depend on beside where they are stored.
 fn key_of(v: &View) -> Key {
-    let mut bits = [0; 10];
+    let mut bits = [0; 12];
     if let Some(lens) = &v.lens {
         let c = &v.camera;
         let values = [c.fx, c.fy, c.cx, c.cy].into_iter().chain(lens.to_array());

@@ -1,13 +1,15 @@
 //! Steps every JSON reader shares: frames with poses, images that exist, unique names.
 
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
+
+use gs_core::cast;
 
 use super::error::{DataError, Place};
 use super::files::Root;
 use super::header::{self, ImageHeader};
 use super::options::DataOptions;
-use super::times::Draft;
+use super::times::{Draft, Drafts};
 
 /// An image listed by a data set, with the other fields its reader needs.
 pub(crate) struct Listed<T> {
@@ -82,6 +84,18 @@ pub(crate) fn name_views(drafts: &mut [Draft], shown: &[PathBuf]) {
 
 fn without_folder(path: &Path) -> String {
     path.file_stem().map_or_else(|| path.to_string_lossy().into_owned(), |s| s.to_string_lossy().into_owned())
+}
+
+/// Numbers the cameras of all splits in order of appearance: views of one pose are of one camera. Returns their count.
+pub(crate) fn number_cameras(drafts: &mut Drafts) -> usize {
+    let mut known: BTreeMap<[u64; 12], u32> = BTreeMap::new();
+    for d in drafts.train.iter_mut().chain(&mut drafts.val).chain(&mut drafts.test) {
+        let (r, t) = (d.view.camera.rotation.to_cols_array(), d.view.camera.translation.to_array());
+        let pose = std::array::from_fn(|i| if i < 9 { r[i] } else { t[i - 9] }.to_bits());
+        let next = cast::to_u32(known.len());
+        d.view.camera_id = *known.entry(pose).or_insert(next);
+    }
+    known.len()
 }
 
 /// The image folder below `root`: the one asked for, or the first of the `usual` ones that exists; `missing` says what

@@ -78,8 +78,9 @@ impl Dataset {
         h.text(&v.name);
         h.bytes(&[c.width.to_le_bytes(), c.height.to_le_bytes(), v.camera_id.to_le_bytes()].concat());
         let lens = v.lens.unwrap_or_default().to_array();
-        // A skew of 0 adds nothing: stored digests are of lenses without one.
-        let lens = lens.into_iter().take(if lens[5] == 0.0 { 5 } else { 6 });
+        // Zeros at the end add nothing: stored digests are of lenses with five coefficients.
+        let used = lens.iter().rposition(|k| *k != 0.0).map_or(5, |last| (last + 1).max(5));
+        let lens = lens.into_iter().take(used);
         let intrinsics = [c.fx, c.fy, c.cx, c.cy, f64::from(v.time.normalised), v.time.seconds];
         let pose = c.rotation.to_cols_array().into_iter().chain(c.translation.to_array());
         intrinsics.into_iter().chain(pose).chain(lens).for_each(|x| h.bytes(&x.to_bits().to_le_bytes()));

@@ -1,5 +1,5 @@
-//! Lens distortion of Brown and Conrady as OpenCV writes it, and resampling of a distorted image to its pinhole
-//! camera.
+//! Lens distortion of Brown and Conrady, and of fisheye lenses, as OpenCV writes them, and resampling of a distorted image to its
+//! pinhole camera.
 //!
 //! A point `(x, y)` of the plane `z = 1`, with `r² = x² + y²`, is imaged at
 //! ```text
@@ -7,7 +7,17 @@
 //! y' = y (1 + k1 r² + k2 r⁴ + k3 r⁶) + p1 (r² + 2 y²) + 2 p2 x y
 //! ```
 //! (OpenCV `calib3d`, "Detailed Description"). COLMAP's `SIMPLE_RADIAL`, `RADIAL` and `OPENCV` are special cases.
+//!
+//! A fisheye lens (OpenCV `fisheye`; Kannala and Brandt 2006) images it at
+//! ```text
+//! (x', y') = θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸) / r · (x, y)      θ = atan r
+//! ```
+//! COLMAP's `SIMPLE_RADIAL_FISHEYE`, `RADIAL_FISHEYE` and `OPENCV_FISHEYE`. What it sees at the sides is not in the pinhole image of the
+//! same focal length; nothing that it sees behind can be.
+//!
 //! A sensor with skewed columns adds `skew · y'` to `x'` (Hartley and Zisserman 2004, 6.2.4, with `skew = s / fx`).
+
+use std::f64::consts::FRAC_PI_2;
 
 use glam::DVec2;
 use gs_core::{Camera, cast};
@@ -27,12 +37,16 @@ use super::pixels::ImageU8;
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Lens {
+    /// Whether it is a fisheye: radial coefficients are factors of powers of the angle, tangential ones are not used.
+    pub fisheye: bool,
     /// Radial coefficient, factor of `r²`.
     pub k1: f64,
     /// Radial coefficient, factor of `r⁴`.
     pub k2: f64,
     /// Radial coefficient, factor of `r⁶`.
     pub k3: f64,
+    /// Radial coefficient of a fisheye, factor of `θ⁸`.
+    pub k4: f64,
     /// First tangential coefficient.
     pub p1: f64,
     /// Second tangential coefficient.
@@ -45,12 +59,13 @@ pub struct Lens {
 const MAX_STEPS: usize = 30;
 
 impl Lens {
-    /// The coefficients in a fixed order: `k1 k2 k3 p1 p2 skew`.
-    pub fn to_array(&self) -> [f64; 6] {
-        [self.k1, self.k2, self.k3, self.p1, self.p2, self.skew]
+    /// The coefficients in a fixed order: `k1 k2 k3 p1 p2 skew k4`, and 1 for a fisheye.
+    pub fn to_array(&self) -> [f64; 8] {
+        let Self { fisheye, k1, k2, k3, k4, p1, p2, skew } = *self;
+        [k1, k2, k3, p1, p2, skew, k4, f64::from(u8::from(fisheye))]
     }
 
-    /// Whether all coefficients are 0.
+    /// Whether it distorts nothing.
     pub fn is_pinhole(&self) -> bool {
         *self == Self::default()
     }
@@ -63,6 +78,10 @@ impl Lens {
 
     /// The distortion without skew.
     fn bend(&self, p: DVec2) -> DVec2 {
+        if self.fisheye {
+            let r = p.length();
+            return if r > 0.0 { p * (self.image_radius(r.atan())[0] / r) } else { p };
+        }
         let r2 = p.length_squared();
         let radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3));
         let xy = p.x * p.y;
@@ -77,6 +96,9 @@ impl Lens {
     /// found.
     pub fn undistort(&self, seen: DVec2) -> Option<DVec2> {
         let distorted = DVec2::new(seen.x - self.skew * seen.y, seen.y);
+        if self.fisheye {
+            return self.undistort_fisheye(distorted);
+        }
         let mut p = distorted;
         for _ in 0..MAX_STEPS {
             let error = self.bend(p) - distorted;
@@ -91,6 +113,36 @@ impl Lens {
             p -= DVec2::new(d * error.x - b * error.y, a * error.y - c * error.x) / det;
         }
         ((self.bend(p) - distorted).length() < 1e-9).then_some(p)
+    }
+
+    /// Of a fisheye: how far from the middle it images a ray at angle `θ`, and the derivative.
+    fn image_radius(&self, angle: f64) -> [f64; 2] {
+        let Self { k1, k2, k3, k4, .. } = *self;
+        let a2 = angle * angle;
+        let value = 1.0 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4)));
+        let slope = 1.0 + a2 * (3.0 * k1 + a2 * (5.0 * k2 + a2 * (7.0 * k3 + a2 * 9.0 * k4)));
+        [angle * value, slope]
+    }
+
+    /// The inverse of a fisheye: none at a right angle and beyond.
+    fn undistort_fisheye(&self, distorted: DVec2) -> Option<DVec2> {
+        let radius = distorted.length();
+        if radius == 0.0 {
+            return Some(distorted);
+        }
+        let mut angle = radius.min(FRAC_PI_2);
+        for _ in 0..MAX_STEPS {
+            let [value, slope] = self.image_radius(angle);
+            if (value - radius).abs() < 1e-14 {
+                break;
+            }
+            if slope.is_nan() || slope <= 1e-6 {
+                return None;
+            }
+            angle -= (value - radius) / slope;
+        }
+        let found = (0.0..FRAC_PI_2 - 1e-9).contains(&angle) && (self.image_radius(angle)[0] - radius).abs() < 1e-9;
+        found.then(|| distorted * (angle.tan() / radius))
     }
 
     /// `(∂x'/∂x, ∂x'/∂y, ∂y'/∂x, ∂y'/∂y)` without skew.
@@ -183,9 +235,13 @@ mod tests {
 
     /// The lens of a hand-held phone, and a stronger one.
     const LENSES: [Lens; 2] = [
-        Lens { k1: 0.0578421, k2: -0.0805099, k3: 0.0, p1: -0.000980296, p2: 0.00015575, skew: 0.0 },
-        Lens { k1: -0.28, k2: 0.07, k3: -0.004, p1: 0.002, p2: -0.003, skew: 0.02 },
+        Lens { k1: 0.0578421, k2: -0.0805099, p1: -0.000980296, p2: 0.00015575, ..NONE },
+        Lens { k1: -0.28, k2: 0.07, k3: -0.004, p1: 0.002, p2: -0.003, skew: 0.02, ..NONE },
     ];
+    const NONE: Lens = Lens { fisheye: false, k1: 0.0, k2: 0.0, k3: 0.0, k4: 0.0, p1: 0.0, p2: 0.0, skew: 0.0 };
+    /// The lens of an action camera, and one that images angles as they are.
+    const FISHEYES: [Lens; 2] =
+        [Lens { fisheye: true, k1: 0.054, k2: -0.012, k3: 0.004, k4: -0.0015, ..NONE }, Lens { fisheye: true, ..NONE }];
 
     fn camera() -> Camera {
         let c = Camera::look_at(270, 480, 0.748, DVec3::new(0.0, -3.0, 0.0), DVec3::ZERO, DVec3::Z).unwrap();
@@ -195,7 +251,7 @@ mod tests {
     #[test]
     fn points_return_within_a_thousandth_of_a_pixel() {
         let c = camera();
-        for lens in LENSES {
+        for lens in LENSES.into_iter().chain(FISHEYES) {
             for k in 0..100 {
                 let at = DVec2::new(f64::from(k % 10) * 30.0, f64::from(k / 10) * 53.3);
                 let seen = lens.distort(DVec2::new((at.x - c.cx) / c.fx, (at.y - c.cy) / c.fy));
@@ -206,6 +262,25 @@ mod tests {
         }
         let folded = Lens { k1: -2.0, ..Lens::default() };
         assert_eq!(folded.undistort(DVec2::new(3.0, 0.0)), None, "no point is seen there");
+    }
+
+    #[test]
+    fn fisheyes_image_angles() {
+        let plain = FISHEYES[1];
+        let at = |degrees: f64| DVec2::new(degrees.to_radians().tan(), 0.0);
+        for degrees in [0.0, 1e-6, 10.0, 60.0, 89.0f64] {
+            let seen = plain.distort(at(degrees));
+            assert!((seen.x - degrees.to_radians()).abs() < 1e-12 && seen.y == 0.0, "{degrees}");
+        }
+        // θ = 1: 1 + 0.054 − 0.012 + 0.004 − 0.0015
+        let seen = FISHEYES[0].distort(at(1f64.to_degrees()));
+        assert!((seen.x - 1.0445).abs() < 1e-12, "{seen}");
+        assert_eq!(plain.undistort(DVec2::new(1.6, 0.0)), None, "behind the image plane");
+        assert_eq!(plain.undistort(DVec2::ZERO), Some(DVec2::ZERO));
+        assert!(
+            !plain.is_pinhole() && plain.outside_fraction(&camera()) == 0.0,
+            "a fisheye sees more than the pinhole"
+        );
     }
 
     #[test]
@@ -222,8 +297,11 @@ mod tests {
     /// A smooth picture painted on the pinhole plane, photographed through the lens, comes back.
     #[test]
     fn a_photograph_is_straightened() {
+        [LENSES[0], FISHEYES[0]].into_iter().for_each(straightened);
+    }
+
+    fn straightened(lens: Lens) {
         let c = camera();
-        let lens = LENSES[0];
         let paint = |u: f64, v: f64| 128.0 + 60.0 * (u * 0.2).sin() + 60.0 * (v * 0.15).cos();
         let picture = |f: &dyn Fn(DVec2) -> f64| {
             let mut data = Vec::new();
@@ -243,7 +321,7 @@ mod tests {
             let at = |im: &ImageU8, k: usize| im.pixel(10 + k % 250, 10 + k / 250)[0];
             (0..250 * 460).map(|k| at(a, k).abs_diff(at(&truth, k))).max().unwrap()
         };
-        assert!(worst(&straight) <= 2, "worst difference {}", worst(&straight));
+        assert!(worst(&straight) <= 2, "{lens:?}: worst difference {}", worst(&straight));
         assert!(worst(&image) > 10, "the test would see an uncorrected lens");
         assert_eq!(undistorted(&truth, &c, &Lens::default()), truth, "no distortion changes nothing");
     }

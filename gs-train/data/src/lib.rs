@@ -54,7 +54,7 @@
 //!   ```
 //!
 //! # What it leaves out
-//! EXR images, mask folders of other layouts, fisheye lenses, video files.
+//! EXR images, mask folders of other layouts, video files.
 #![warn(unreachable_pub)]
 #![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 

@@ -1,9 +1,10 @@
 //! nerfstudio and instant-ngp: one `transforms.json` (Tancik et al. 2023; Müller et al. 2022).
 //!
 //! Intrinsics at top level or in each frame, those of the frame first: `fl_x fl_y cx cy w h`, or `camera_angle_x` (and
-//! `camera_angle_y`), and the distortion `k1 k2 k3 p1 p2` of OpenCV. Per frame `file_path`, `transform_matrix` (camera to
-//! world, OpenGL axes) and optionally `time`, `camera_index` (frames of one camera of a rig share it; where any frame lacks it, every frame
-//! is a camera of its own), `mask_path` (white counts, black does not) and
+//! `camera_angle_y`), and the distortion `k1 k2 k3 p1 p2` of OpenCV, or with
+//! `camera_model` `OPENCV_FISHEYE` the `k1 k2 k3 k4` of its fisheye. Per frame `file_path`, `transform_matrix` (camera to
+//! world, OpenGL axes) and optionally `time`, `camera_index` (frames of one camera of a rig share it; where any frame lacks it, frames of
+//! one pose are of one camera), `mask_path` (white counts, black does not) and
 //! `depth_file_path` (`.npy` or PNG of 16 bit, in millimetres unless `depth_unit_scale_factor` at top level says otherwise). `train_filenames`, `val_filenames`, `test_filenames` give the split, else
 //! every eighth view is held out. `ply_file_path` names the initial points. `applied_transform` is not used:
 //! poses and points are both in the transformed world.
@@ -12,11 +13,11 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use glam::DVec2;
-use gs_core::{Time, cast};
+use gs_core::Time;
 
 use super::error::{DataError, Place};
 use super::files::{Root, read_text};
-use super::frames::{Listed, locate, name_views, with_headers};
+use super::frames::{Listed, locate, name_views, number_cameras, with_headers};
 use super::header::ImageHeader;
 use super::intrinsics::{Adjusted, Intrinsics, hold_out, hold_out_note};
 use super::json::{Document, Fields, MAX_JSON_BYTES, quote_non_finite, whole};
@@ -61,8 +62,8 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let text = read_text(&file, MAX_JSON_BYTES)?;
     let text = quote_non_finite(&text);
     let document = Document::parse(&file, &text)?;
-    check_model(&document.top())?;
-    let shared = PartialIntrinsics::read(&document.top())?;
+    let fisheye = is_fisheye(&document.top())?;
+    let shared = PartialIntrinsics::read(&document.top(), fisheye)?;
     let unit = depth_unit(&document.top())?;
     let frames =
         (0..document.len()).map(|i| read_frame(&root, &document.frame(i)?, &shared, unit)).collect::<Result<_, _>>()?;
@@ -70,9 +71,13 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let frames = with_headers(&file, frames, options, &mut notes)?;
     let has_alpha = frames.iter().any(|(_, h)| h.has_alpha);
     let written: Vec<String> = frames.iter().map(|(f, _)| f.rest.written.clone()).collect();
+    let numbered = frames.iter().all(|(f, _)| f.rest.camera.is_some());
     let drafts = drafts(frames, options, &mut notes)?;
     let split = split(&document, &written, options, &mut notes)?;
-    let drafts = deal(drafts, &split);
+    let mut drafts = deal(drafts, &split);
+    if !numbered {
+        number_cameras(&mut drafts);
+    }
     if drafts.train.is_empty() {
         return Err(DataError::Empty { file });
     }
@@ -80,10 +85,11 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     Ok(Dataset { points: points(&root, &document.top())?, ..settled.dataset(dir, LAYOUT.name, has_alpha, notes) })
 }
 
-/// Refuses camera models other than pinhole and OpenCV.
-fn check_model(top: &Fields) -> Result<(), DataError> {
+/// Whether the camera model is OpenCV's fisheye; others than that, pinhole and OpenCV are refused.
+fn is_fisheye(top: &Fields) -> Result<bool, DataError> {
     match top.text("camera_model")? {
-        None | Some("OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "PERSPECTIVE") => Ok(()),
+        None | Some("OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "PERSPECTIVE") => Ok(false),
+        Some("OPENCV_FISHEYE") => Ok(true),
         Some(other) => Err(DataError::CameraModel { place: top.place("camera_model"), model: other.into() }),
     }
 }
@@ -106,13 +112,17 @@ struct PartialIntrinsics {
     angle: [Option<f64>; 2],
     principal: [Option<f64>; 2],
     size: [Option<f64>; 2],
-    lens: [Option<f64>; 5],
+    /// `k1 k2 k3 p1 p2 k4`.
+    lens: [Option<f64>; 6],
+    fisheye: bool,
 }
 
 impl PartialIntrinsics {
-    fn read(o: &Fields) -> Result<Self, DataError> {
-        let pair = |a, b| Ok::<_, DataError>([o.number(a)?, o.number(b)?]);
-        for key in ["k4", "k5", "k6"] {
+    fn read(o: &Fields, fisheye: bool) -> Result<Self, DataError> {
+        let n = |key| o.number(key);
+        let pair = |a, b| Ok::<_, DataError>([n(a)?, n(b)?]);
+        let foreign: &[&'static str] = if fisheye { &["k5", "k6", "p1", "p2"] } else { &["k4", "k5", "k6"] };
+        for key in foreign {
             if let Some(v) = o.number(key)?.filter(|&v| v != 0.0) {
                 return Err(DataError::CameraModel { place: o.place(key), model: format!("with {key} = {v}") });
             }
@@ -122,7 +132,8 @@ impl PartialIntrinsics {
             angle: pair("camera_angle_x", "camera_angle_y")?,
             principal: pair("cx", "cy")?,
             size: pair("w", "h")?,
-            lens: [o.number("k1")?, o.number("k2")?, o.number("k3")?, o.number("p1")?, o.number("p2")?],
+            lens: [n("k1")?, n("k2")?, n("k3")?, n("p1")?, n("p2")?, n("k4")?],
+            fisheye,
         };
         let positive = "it must be positive";
         for (value, key) in stated.size.iter().chain(&stated.fl).zip(["w", "h", "fl_x", "fl_y"]) {
@@ -154,6 +165,7 @@ impl PartialIntrinsics {
             principal: first(self.principal, shared.principal),
             size: first(self.size, shared.size),
             lens: first(self.lens, shared.lens),
+            fisheye: shared.fisheye,
         }
     }
 
@@ -173,12 +185,12 @@ impl PartialIntrinsics {
             });
         };
         let principal = [0, 1].map(|k| self.principal[k].unwrap_or(0.5 * size[k]));
-        let [k1, k2, k3, p1, p2] = self.lens.map(Option::unwrap_or_default);
+        let [k1, k2, k3, p1, p2, k4] = self.lens.map(Option::unwrap_or_default);
         Ok(Intrinsics {
             size: size.into(),
             focal: DVec2::new(fx, fy),
             principal: principal.into(),
-            lens: Lens { k1, k2, k3, p1, p2, skew: 0.0 },
+            lens: Lens { fisheye: self.fisheye, k1, k2, k3, k4, p1, p2, skew: 0.0 },
         })
     }
 }
@@ -196,7 +208,7 @@ fn read_frame(
     let rest = Frame {
         pose: from_opengl(&frame.matrix("transform_matrix")?, &place)?,
         time: frame.number("time")?,
-        stated: PartialIntrinsics::read(frame)?.or(shared),
+        stated: PartialIntrinsics::read(frame, shared.fisheye)?.or(shared),
         time_place: frame.place("time"),
         place: frame.place(""),
         written,
@@ -223,17 +235,16 @@ fn drafts(
     notes: &mut Vec<String>,
 ) -> Result<Vec<Draft>, DataError> {
     let shown: Vec<PathBuf> = frames.iter().map(|(f, _)| f.shown.clone()).collect();
-    let numbered = frames.iter().all(|(f, _)| f.rest.camera.is_some());
     let mut adjusted = Adjusted::default();
     let mut drafts = Vec::with_capacity(frames.len());
-    for (k, (listed, header)) in frames.into_iter().enumerate() {
+    for (listed, header) in frames {
         let frame = listed.rest;
-        let id = frame.camera.filter(|_| numbered).unwrap_or(cast::to_u32(k));
         let intrinsics = frame.stated.complete(&header, &frame.place)?;
         let (camera, fitted) = intrinsics.camera(&header, &listed.path, &frame.pose, &frame.place)?;
         let lens = intrinsics.lens(options.undistort, &frame.place)?;
         adjusted.count(&intrinsics, &camera, fitted, lens.as_ref());
-        let mut view = View::new("", camera, Time::default(), ImageSource::File(listed.path), id);
+        let mut view =
+            View::new("", camera, Time::default(), ImageSource::File(listed.path), frame.camera.unwrap_or(0));
         frame.depth.as_ref().map_or(Ok(()), DepthMap::check)?;
         (view.lens, view.depth) = (lens, frame.depth);
         if let Some(file) = frame.mask {

@@ -145,7 +145,7 @@ fn camera(view: &View) -> Value {
 pub(super) fn with_lens(camera: Camera) -> (Camera, Lens) {
     let (width, height) = (f64::from(camera.width), f64::from(camera.height));
     let camera = Camera { fy: 1.02 * camera.fy, cx: 0.53 * width, cy: 0.48 * height, ..camera };
-    (camera, Lens { k1: -0.12, k2: 0.03, k3: -0.004, p1: 0.002, p2: -0.003, skew: 0.01 })
+    (camera, Lens { k1: -0.12, k2: 0.03, k3: -0.004, p1: 0.002, p2: -0.003, skew: 0.01, ..Lens::default() })
 }
 
 fn over_white(image: &ImageU8) -> ImageU8 {

@@ -107,6 +107,7 @@ enum LensChoice {
     SimpleRadial,
     Radial,
     Opencv,
+    OpencvFisheye,
 }
 
 fn positive(text: &str) -> Result<f64, String> {
@@ -180,6 +181,7 @@ impl ImportVerb {
                 LensChoice::SimpleRadial => CameraModel::SimpleRadial,
                 LensChoice::Radial => CameraModel::Radial,
                 LensChoice::Opencv => CameraModel::Opencv,
+                LensChoice::OpencvFisheye => CameraModel::OpencvFisheye,
             }),
             same_lens: self.same_lens,
             fov: self.fov,

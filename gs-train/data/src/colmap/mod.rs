@@ -80,6 +80,18 @@ struct ImageRow {
     camera: u32,
 }
 
+/// The camera models that are read.
+const MODELS: [&str; 8] = [
+    "SIMPLE_PINHOLE",
+    "PINHOLE",
+    "SIMPLE_RADIAL",
+    "RADIAL",
+    "OPENCV",
+    "SIMPLE_RADIAL_FISHEYE",
+    "RADIAL_FISHEYE",
+    "OPENCV_FISHEYE",
+];
+
 /// A camera's model and parameters turned into intrinsics.
 fn intrinsics(model: &str, size: [u64; 2], params: &[f64], place: &Place) -> Result<Intrinsics, DataError> {
     let field = |at: &str, value: String, why| DataError::Field {
@@ -94,6 +106,7 @@ fn intrinsics(model: &str, size: [u64; 2], params: &[f64], place: &Place) -> Res
     if let Some(k) = params.iter().position(|v| !v.is_finite()) {
         return Err(field(&format!("params[{k}]"), params[k].to_string(), "it must be a finite number"));
     }
+    let fisheye = Lens { fisheye: true, ..Lens::default() };
     let (focal, principal, lens) = match (model, params) {
         ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f], [cx, cy], Lens::default()),
         ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy], [cx, cy], Lens::default()),
@@ -102,7 +115,12 @@ fn intrinsics(model: &str, size: [u64; 2], params: &[f64], place: &Place) -> Res
         ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => {
             ([fx, fy], [cx, cy], Lens { k1, k2, p1, p2, ..Lens::default() })
         }
-        ("SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV", _) => {
+        ("SIMPLE_RADIAL_FISHEYE", &[f, cx, cy, k1]) => ([f, f], [cx, cy], Lens { k1, ..fisheye }),
+        ("RADIAL_FISHEYE", &[f, cx, cy, k1, k2]) => ([f, f], [cx, cy], Lens { k1, k2, ..fisheye }),
+        ("OPENCV_FISHEYE", &[fx, fy, cx, cy, k1, k2, k3, k4]) => {
+            ([fx, fy], [cx, cy], Lens { k1, k2, k3, k4, ..fisheye })
+        }
+        (model, _) if MODELS.contains(&model) => {
             let value = format!("{} numbers", params.len());
             return Err(field("params", value, "the camera model has another number of parameters"));
         }
@@ -172,7 +190,11 @@ pub(crate) fn rig(dir: &Path) -> Result<Vec<RigCamera>, DataError> {
         let at = |field: &str| Place::new(&model.images_file, format!("images[{}].{field}", row.row));
         let Pose { rotation, translation } = pose(row, &at)?;
         let Intrinsics { size, focal, principal, lens } = *model.intrinsics(row, &at)?;
-        let Lens { k1, k2, k3, p1, p2, skew } = lens;
+        let Lens { fisheye, k1, k2, k3, p1, p2, skew, .. } = lens;
+        if fisheye {
+            let model = "of a fisheye lens (avatar folders keep five coefficients of OpenCV)".to_owned();
+            return Err(DataError::CameraModel { place: at("camera"), model });
+        }
         Ok(RigCamera {
             name: row.name.clone(),
             size: Some([size.x, size.y].map(|side| cast::to_u32(cast::to_usize(side)))),

@@ -241,6 +241,6 @@ fn intrinsics(camera: &Fields, centred: bool) -> Result<Intrinsics, DataError> {
         size: size.into(),
         focal: DVec2::new(f, f * aspect),
         principal: pair("principal_point")?.into(),
-        lens: Lens { k1, k2, k3, p1, p2, skew },
+        lens: Lens { k1, k2, k3, p1, p2, skew, ..Lens::default() },
     })
 }

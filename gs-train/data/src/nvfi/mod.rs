@@ -22,16 +22,15 @@
 //! `points3d.ply`; else the scene box: the cube ±1.5 for objects (images with alpha), NVFi's room where all cameras are
 //! inside it, else a cube of the size of the rig.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use glam::Vec3;
-use gs_core::{Time, cast};
+use gs_core::Time;
 
 use super::blender::{Frame, field_of_view, pinhole, read_frame};
 use super::error::{DataError, Place};
 use super::files::{Root, read_text};
-use super::frames::{Listed, name_views, with_headers};
+use super::frames::{Listed, name_views, number_cameras, with_headers};
 use super::json::{Document, Fields, MAX_JSON_BYTES, quote_non_finite};
 use super::options::{DataOptions, TimeRange};
 use super::times::{Draft, Drafts, check_range, settle};
@@ -213,18 +212,6 @@ fn labelled(root: &Root, frame: &Fields) -> Result<Listed<LabelledFrame>, DataEr
 
 fn with_npy(written: &str) -> String {
     if written.ends_with(".npy") { written.to_owned() } else { format!("{written}.npy") }
-}
-
-/// Numbers the cameras: views of one pose get one number. Returns the count.
-fn number_cameras(drafts: &mut Drafts) -> usize {
-    let mut known: BTreeMap<[u64; 12], u32> = BTreeMap::new();
-    for d in drafts.train.iter_mut().chain(&mut drafts.val).chain(&mut drafts.test) {
-        let (r, t) = (d.view.camera.rotation.to_cols_array(), d.view.camera.translation.to_array());
-        let pose = std::array::from_fn(|i| if i < 9 { r[i] } else { t[i - 9] }.to_bits());
-        let next = cast::to_u32(known.len());
-        d.view.camera_id = *known.entry(pose).or_insert(next);
-    }
-    known.len()
 }
 
 /// The scene box of data without points.

@@ -11,7 +11,7 @@ use tempfile::TempDir;
 /// A folder with `n` images of 40×30 in `images/` and a ring of cameras around the origin.
 pub(crate) struct Folder {
     dir: TempDir,
-    cameras: Vec<Camera>,
+    pub(crate) cameras: Vec<Camera>,
 }
 
 impl Folder {
@@ -54,7 +54,7 @@ impl Folder {
     }
 
     /// The same as a COLMAP text model.
-    fn colmap_text(&self, model: &str) {
+    pub(crate) fn colmap_text(&self, model: &str) {
         self.put("sparse/0/cameras.txt", format!("# comment\n1 {model}\n"));
         let mut images = String::from("# comment\n");
         for (k, c) in self.cameras.iter().enumerate() {
@@ -78,7 +78,7 @@ fn wxyz(c: &Camera) -> [f64; 4] {
     [q.w, q.x, q.y, q.z]
 }
 
-fn opengl(c: &Camera) -> [[f64; 4]; 4] {
+pub(crate) fn opengl(c: &Camera) -> [[f64; 4]; 4] {
     let r = c.rotation.transpose() * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
     let p = c.position();
     let row = |i: usize| [r.x_axis[i], r.y_axis[i], r.z_axis[i], p[i]];
@@ -179,11 +179,11 @@ fn distortion_is_kept_with_the_view_or_refused() {
     f.put("transforms.json", j.to_string());
     assert!(f.open(&DataOptions::default()).unwrap_err().to_string().contains("k4 = 0.2"));
     j["k4"] = json!(0);
-    j["camera_model"] = json!("OPENCV_FISHEYE");
+    j["camera_model"] = json!("EQUIRECTANGULAR");
     f.put("transforms.json", j.to_string());
     assert_eq!(
         f.open(&DataOptions::default()).unwrap_err().to_string(),
-        "camera model OPENCV_FISHEYE is not supported"
+        "camera model EQUIRECTANGULAR is not supported"
     );
 }
 

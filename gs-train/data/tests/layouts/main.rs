@@ -1,5 +1,6 @@
 //! Data sets: readers layout by layout, real captures, and scenes that are generated.
 
+mod cameras;
 mod hypernerf;
 mod layouts;
 mod llff;

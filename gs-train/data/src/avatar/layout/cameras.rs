@@ -133,7 +133,7 @@ fn lens(fields: &Fields, dist: Option<&Value>) -> Result<Lens, DataError> {
             return Err(DataError::CameraModel { place: fields.place("dist"), model: format!("with dist {other}") });
         }
     };
-    Ok(Lens { k1, k2, k3, p1, p2, skew: 0.0 })
+    Ok(Lens { k1, k2, k3, p1, p2, ..Lens::default() })
 }
 
 impl FilmCamera {
