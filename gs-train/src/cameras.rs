@@ -127,6 +127,12 @@ impl Correction {
         clocks::moved(t, self.time, self.clock)
     }
 
+    /// A view with the corrected camera and time, to be rendered. Its image is that of the view as the data give it: a lens is
+    /// undistorted with the data's camera.
+    pub fn corrected(&self, view: &View) -> View {
+        View { camera: self.apply(&view.camera), time: self.at(view.time), ..view.clone() }
+    }
+
     /// Pulls the gradient at the corrected camera back to `w`, `v` and `s`. A change of `w` turns the camera by `J_l(w) dw`
     /// (left Jacobian of the exponential map; Solà et al. 2018, equation 145), about the point that turns are about.
     pub fn pull_back(&self, camera: &Camera, grad: &CameraGrad) -> ([f64; 3], [f64; 3], f64) {

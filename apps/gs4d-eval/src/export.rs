@@ -9,7 +9,7 @@ mod fit;
 mod player;
 mod rigid;
 
-pub use player::{evaluate_clip, frame_times};
+pub use player::{evaluate_played, frame_times};
 pub use rigid::{RigidScene, evaluate_rigid};
 
 use crate::segment::SegmentError;

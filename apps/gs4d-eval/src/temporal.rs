@@ -4,12 +4,15 @@
 //! typical time steps of the data set apart. Anything else is an error.
 
 use crate::folders::VideoScore;
+use gs_core::Camera;
 use gs_data::{DataError, Dataset, Split, View};
 use gs_metrics::{MetricError, Tof, TofOptions};
-use gs_train::evaluate::Scoring;
+use gs_train::evaluate::{EvalError, Scoring, place};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
+use gs_train::ranks::Share;
 use gs_train::renderer::Renderer;
+use gs_train::timestamp::Timestamp;
 
 /// Largest median time step between views, in median time steps of the data set.
 pub(crate) const MAX_SKIPPED: f64 = 4.0;
@@ -54,6 +57,9 @@ pub enum TemporalError {
     /// A ground-truth image cannot be read.
     #[error(transparent)]
     Data(#[from] DataError),
+    /// A held-out camera cannot be placed in a scene whose cameras were refined.
+    #[error(transparent)]
+    Place(#[from] EvalError),
     /// The metric refuses the frames of a view.
     #[error("view {view}: {source}")]
     Metric {
@@ -75,12 +81,15 @@ pub fn tof(
     scoring: &Scoring<'_>,
     options: TofOptions,
 ) -> Result<VideoScore, TemporalError> {
-    let views = video(dataset, split)?;
+    let views: Vec<View> = video(dataset, split)?.into_iter().cloned().collect();
     let Scoring { background, images, device, .. } = *scoring;
     let mut renderer = Renderer::on(device, method.raster_options(background))?;
     let mut tof = Tof::new(options);
-    for view in &views {
-        let image = renderer.view(method, view, &images.camera(view))?;
+    let splats = |at: &Timestamp, camera: &Camera| method.splats(at, camera);
+    let corrections = place(method, &splats, &views, background, images, &Share::default())?;
+    for (view, correction) in views.iter().zip(corrections) {
+        let shown = correction.unwrap_or_default().corrected(view);
+        let image = renderer.view(method, &shown, &images.camera(&shown))?;
         let truth = images.get(view)?.over(background);
         tof.add(&image, &truth).map_err(|source| TemporalError::Metric { view: view.name.clone(), source })?;
     }

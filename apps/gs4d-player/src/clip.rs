@@ -1,7 +1,7 @@
 //! A scene as tracks: made from frames, evaluated at any time, as bytes.
 
 use crate::fit::{Bounds, add};
-use crate::frames::{Frames, Tolerance, sizes};
+use crate::frames::{Frames, Tolerance, aligned, mean_coefficient, sizes};
 use crate::stream::{Reader, Writer};
 use crate::track::Track;
 use crate::words::knot;
@@ -251,7 +251,7 @@ fn in_bytes(v: f32) -> f32 {
 }
 
 /// Colour of degree 0 of a splat.
-fn flat(color: &Color, i: usize) -> [f32; 3] {
+pub(crate) fn flat(color: &Color, i: usize) -> [f32; 3] {
     match color {
         Color::Rgb(all) => all[i],
         Color::Sh { coeffs, .. } => {
@@ -263,8 +263,7 @@ fn flat(color: &Color, i: usize) -> [f32; 3] {
 
 /// The mean coefficients over time in 1/64; the first is what the colour of degree 0 exceeds 0..1 by, in the middle of its range.
 fn harmonics(frames: &Frames) -> Vec<i8> {
-    let (middle, n) = (frames.middle(), frames.splats.len() as f32);
-    let width = middle.color.width();
+    let width = frames.middle().color.width();
     let byte = |v: f32| (v * SH_STEPS).round().clamp(-127.0, 127.0) as i8;
     let mut out = Vec::with_capacity(width * frames.len());
     for i in 0..frames.len() {
@@ -275,25 +274,7 @@ fn harmonics(frames: &Frames) -> Vec<i8> {
             let half = 0.5 * (low + high);
             out.push(if inside { 0 } else { byte(half - half.clamp(0.0, 1.0)) });
         }
-        for k in 3..width {
-            let sum: f32 = frames.splats.iter().map(|s| s.color.as_flat()[i * width + k]).sum();
-            out.push(byte(sum / n));
-        }
-    }
-    out
-}
-
-/// Unit quaternions of a splat over the frames, each with the sign that is nearer to the one before.
-fn aligned(frames: &Frames, i: usize) -> Vec<f32> {
-    let (mut out, mut last) = (Vec::new(), [1.0, 0.0, 0.0, 0.0]);
-    for splats in &frames.splats {
-        let unit = match rot::normalise(splats.quats[i]).wxyz {
-            [0.0, 0.0, 0.0, 0.0] => last,
-            q => q,
-        };
-        let same = unit.iter().zip(last).map(|(a, b)| a * b).sum::<f32>() >= 0.0;
-        last = if same { unit } else { unit.map(|v| -v) };
-        out.extend(last);
+        out.extend((3..width).map(|k| byte(mean_coefficient(frames, i, k))));
     }
     out
 }

@@ -1,7 +1,7 @@
 //! What a clip is made from: the splats of a scene at a list of times.
 
 use crate::PlayerError;
-use gs_core::{Camera, Splats};
+use gs_core::{Camera, Splats, rot};
 
 /// The splats of a scene at ascending times, the same rows at each.
 #[derive(Clone, Debug)]
@@ -12,7 +12,7 @@ pub struct Frames {
 }
 
 /// Opacity below which a splat changes no pixel.
-const VISIBLE: f32 = 1.0 / 255.0;
+pub(crate) const VISIBLE: f32 = 1.0 / 255.0;
 
 impl Frames {
     /// Splats at normalised times, ascending; one set for each. Rows that are invisible at all times are left out.
@@ -119,4 +119,26 @@ pub(crate) fn sizes(frames: &Frames, cameras: &[Camera]) -> Vec<Size> {
         Size { least, most: scales().map(glam::Vec3::max_element).fold(least, f32::max) }
     };
     pixels.iter().enumerate().map(size).collect()
+}
+
+/// Unit quaternions of a splat over the frames, each with the sign that is nearer to the one before.
+pub(crate) fn aligned(frames: &Frames, i: usize) -> Vec<f32> {
+    let (mut out, mut last) = (Vec::new(), [1.0, 0.0, 0.0, 0.0]);
+    for splats in &frames.splats {
+        let unit = match rot::normalise(splats.quats[i]).wxyz {
+            [0.0, 0.0, 0.0, 0.0] => last,
+            q => q,
+        };
+        let same = unit.iter().zip(last).map(|(a, b)| a * b).sum::<f32>() >= 0.0;
+        last = if same { unit } else { unit.map(|v| -v) };
+        out.extend(last);
+    }
+    out
+}
+
+/// A coefficient of the colour of a splat, the mean over the frames.
+pub(crate) fn mean_coefficient(frames: &Frames, i: usize, k: usize) -> f32 {
+    let width = frames.middle().color.width();
+    let sum: f32 = frames.splats.iter().map(|s| s.color.as_flat()[i * width + k]).sum();
+    sum / frames.splats.len() as f32
 }

@@ -1,4 +1,5 @@
-//! A moving scene as one web page that plays it, without a server and without a request to anywhere.
+//! A moving scene as one web page that plays it, without a server and without a request to anywhere; and as a `.4dgs` file for other
+//! programs ([`Spans`]).
 //!
 //! ```
 //! use gs_core::{Color, Kernel, Splats};
@@ -46,6 +47,7 @@ mod clip;
 mod fit;
 mod frames;
 mod page;
+mod spans;
 mod stream;
 mod track;
 pub mod words;
@@ -53,6 +55,7 @@ pub mod words;
 pub use clip::{Clip, Layer};
 pub use frames::{Frames, Tolerance};
 pub use page::{Page, SORT_JS, SPLATS_JS, Start, VECTORS_JS, read};
+pub use spans::Spans;
 
 /// A scene that cannot become a clip, or a page that holds none.
 #[derive(Debug, thiserror::Error)]
@@ -65,10 +68,10 @@ pub enum PlayerError {
         /// What is wrong with it.
         what: String,
     },
-    /// A page without a clip, or a damaged one.
-    #[error("the page cannot be read back: {0}; export it again")]
+    /// A page without a clip, or a damaged page or file.
+    #[error("it cannot be read back: {0}; export it again")]
     Damaged(String),
-    /// The clip cannot be written as text.
-    #[error("the page cannot be written: {0}")]
+    /// A clip cannot be written as text, or a value is refused by the encoder of a file.
+    #[error("it cannot be written: {0}")]
     Write(String),
 }

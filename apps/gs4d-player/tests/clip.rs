@@ -1,10 +1,10 @@
-//! Clips against the scenes they were made from: the bound holds, bytes come back, damage is an error.
+//! Clips and spans against the scenes they were made from: the bound holds, bytes come back, damage is an error.
 
 use glam::{Quat, Vec3};
 use gs_core::rng::Rng;
 use gs_core::{Camera, Color, Kernel, Splats, rot};
 use gs_raster::{RasterOptions, Workspace, measure, render};
-use gs4d_player::{Clip, Frames, Layer, Page, PlayerError, Start, Tolerance, read};
+use gs4d_player::{Clip, Frames, Layer, Page, PlayerError, Spans, Start, Tolerance, read};
 
 const FRAMES: usize = 24;
 
@@ -84,6 +84,59 @@ fn no_mean_is_displaced_by_more_than_the_bound() {
         }
     }
     assert_eq!(clip.moving(), 100, "a third of the splats circle");
+}
+
+#[test]
+fn spans_stay_near_and_files_give_them_back() {
+    let (times, splats) = scene(false);
+    let frames = Frames::new(times.clone(), splats.clone()).unwrap();
+    let spans = |tolerance| Spans::fit(&frames, &[camera()], Tolerance(tolerance), 3.0);
+    let (coarse, fine) = (spans(0.4), spans(0.05));
+    assert!(fine.len() > coarse.len() && coarse.len() > 300, "{} {}", fine.len(), coarse.len());
+    assert!((fine.duration() - 3.0 * FRAMES as f64 / (FRAMES - 1) as f64).abs() < 1e-6);
+    let usual = |spans: &Spans| {
+        let mut all: Vec<f64> = times.iter().zip(&splats).map(|(&t, s)| psnr(s, &spans.splats(t))).collect();
+        all.sort_by(f64::total_cmp);
+        all[FRAMES / 2]
+    };
+    let (bytes, before) = (fine.bytes().unwrap(), [usual(&coarse), usual(&fine)]);
+    let again = Spans::read(&bytes).unwrap();
+    let after = usual(&again);
+    println!("median frame: {before:.1?} dB at 0.4 and 0.05, {after:.1} dB from the file of {} bytes", bytes.len());
+    // What turns or fades is constant between two frames, so a smaller tolerance brings little.
+    assert!(before[0] > 37.0 && before[1] > before[0] + 1.5, "{before:?}");
+    assert!(after > before[1] - 1.0, "{after} {before:?}");
+    assert_eq!((again.len(), bytes.clone()), (fine.len(), spans(0.05).bytes().unwrap()), "the same bytes every time");
+    // As many splats as are seen at a time; those that fade out are not there.
+    for (&t, s) in times.iter().zip(&splats) {
+        let (got, all) = (again.splats(t).len(), s.len());
+        assert!(got <= all && got >= all * 2 / 3, "{got} of {all} at {t}");
+    }
+    assert!(matches!(Spans::read(&bytes[..bytes.len() / 2]), Err(PlayerError::Damaged(_))));
+    assert!(matches!(Spans::read(b"PK"), Err(PlayerError::Damaged(_))));
+}
+
+#[test]
+fn a_span_moves_on_a_line_and_is_nowhere_else() {
+    let times: Vec<f32> = (0..11).map(|k| 0.1 * k as f32).collect();
+    let one = measure::scene(1, 0);
+    let mut all = vec![one.clone(); times.len()];
+    for (s, t) in all.iter_mut().zip(&times) {
+        s.means[0] = one.means[0] + Vec3::new(2.0 * t, 0.0, (t - 0.5).abs());
+        s.opacities[0] = 0.9;
+    }
+    let spans = Spans::fit(&Frames::new(times.clone(), all.clone()).unwrap(), &[], Tolerance(0.1), 7.3);
+    assert_eq!(spans.len(), 2, "a line to the bend, a line from it");
+    let again = Spans::read(&spans.bytes().unwrap()).unwrap();
+    for (t, s) in times.iter().zip(&all) {
+        let got = again.splats(*t);
+        assert_eq!(got.len(), 1, "{t}");
+        let off = got.means[0].distance(s.means[0]);
+        assert!(off < 0.05 * one.scales[0].max_element() + 1e-4, "{off} at {t}");
+        assert!((got.opacities[0] - 0.9).abs() < 0.003);
+    }
+    let halfway = again.splats(0.25).means[0];
+    assert!((halfway.x - one.means[0].x - 0.5).abs() < 0.05 * one.scales[0].max_element() + 1e-4);
 }
 
 #[test]

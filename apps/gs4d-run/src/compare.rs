@@ -15,6 +15,7 @@ use crate::score_table::{conditions, number_or_dash};
 use gs_core::Image;
 use gs_data::{Dataset, ImageCache, Split, View};
 use gs_metrics::{mse, psnr_from_mse};
+use gs_train::cameras::Correction;
 use gs_train::evaluate::{EvalError, EvalReport, evaluate_with, evaluate_with_future};
 use gs_train::method::MethodError;
 use gs_train::renderer::Renderer;
@@ -152,14 +153,21 @@ pub fn compare(sides: &[Side], options: &Options) -> Result<(Compared, Vec<ViewR
     for ((side, name), renderer) in sides.iter().zip(names(sides)).zip(&mut renderers) {
         runs.push(row(side, name, renderer, (dataset, &images), options.split, background)?);
     }
-    let mut render = |view: &View| render(sides, &mut renderers, view, &images);
+    let corrections: Vec<Vec<Correction>> = runs.iter().map(corrections).collect();
+    let mut render = |k: usize| {
+        let one = |((side, renderer), corrections): ((&Side, &mut Renderer), &Vec<Correction>)| {
+            let shown = corrections[k].corrected(&views[k]);
+            renderer.view(&side.run.loaded.model, &shown, &images.camera(&shown))
+        };
+        sides.iter().zip(&mut renderers).zip(&corrections).map(one).collect()
+    };
     let rows = disagreements(&mut runs, views, &mut render)?;
     let mut order: Vec<usize> = (0..rows.len()).collect();
     order.sort_by(|a, b| rows[*b].disagreement.total_cmp(&rows[*a].disagreement).then(a.cmp(b)));
     let mut pictures = Vec::new();
     for &k in order.iter().take(options.shown) {
         let truth = images.get(&views[k]).map_err(EvalError::from)?.over(background);
-        pictures.push(ViewRenders { caption: caption(&rows[k], &runs), truth, renders: render(&views[k])? });
+        pictures.push(ViewRenders { caption: caption(&rows[k], &runs), truth, renders: render(k)? });
     }
     let compared = Compared {
         conditions: conditions(dataset, &images, &runs[0].scores),
@@ -177,12 +185,12 @@ pub fn compare(sides: &[Side], options: &Options) -> Result<(Compared, Vec<ViewR
 fn disagreements(
     runs: &mut [Row],
     views: &[View],
-    render: &mut impl FnMut(&View) -> Result<Vec<Image>, MethodError>,
+    render: &mut impl FnMut(usize) -> Result<Vec<Image>, MethodError>,
 ) -> Result<Vec<ViewRow>, CompareError> {
     let mut rows = Vec::with_capacity(views.len());
     let mut to_first = vec![0.0; runs.len()];
     for (k, view) in views.iter().enumerate() {
-        let renders = render(view)?;
+        let renders = render(k)?;
         let between =
             |a: &Image, b: &Image| mse(a, b).map_err(|source| EvalError::Metric { view: view.name.clone(), source });
         let mut largest = 0.0f64;
@@ -237,15 +245,9 @@ fn row(
     })
 }
 
-fn render(
-    sides: &[Side],
-    renderers: &mut [Renderer],
-    view: &View,
-    images: &ImageCache,
-) -> Result<Vec<Image>, MethodError> {
-    let camera = images.camera(view);
-    let one = |(side, renderer): (&Side, &mut Renderer)| renderer.view(&side.run.loaded.model, view, &camera);
-    sides.iter().zip(renderers).map(one).collect()
+/// What the cameras of the scored views were corrected by.
+fn corrections(run: &Row) -> Vec<Correction> {
+    run.scores.views.iter().map(|view| view.camera.unwrap_or_default()).collect()
 }
 
 fn caption(view: &ViewRow, runs: &[Row]) -> String {

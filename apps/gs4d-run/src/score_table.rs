@@ -39,7 +39,7 @@ pub(super) fn comparisons(
     let mut out = Vec::new();
     for place in places(ranked.len()) {
         let (view, scores) = ranked[place];
-        let camera = scores.camera.unwrap_or_default().apply(&m.images.camera(view));
+        let shown = scores.camera.unwrap_or_default().corrected(view);
         let truth = m.images.get(view)?.over(m.scores.background);
         let psnr = scores.psnr.map_or("perfect".to_owned(), |p| format!("{p:.2} dB"));
         let time = view.time.normalised;
@@ -52,7 +52,12 @@ pub(super) fn comparisons(
             scores.ssim
         );
         let name = format!("t{time:.3}_{}", view.name);
-        out.push(Comparison { name, caption, truth, render: renderer.view(m.method, view, &camera)? });
+        out.push(Comparison {
+            name,
+            caption,
+            truth,
+            render: renderer.view(m.method, &shown, &m.images.camera(&shown))?,
+        });
     }
     Ok(out)
 }

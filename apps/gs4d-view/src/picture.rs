@@ -276,8 +276,7 @@ fn truth(stage: &Stage, q: &Question, shot: &Shot) -> Result<(Image, f32), Strin
     let Look::View(owner, number) = q.look else {
         return Err("a ground-truth image has its own camera: choose a view".into());
     };
-    let (show, view) = (stage.show(owner)?, stage.view(owner, number)?);
-    let image = show.images().ok_or("there are no images")?.get(&view).map_err(|e| e.to_string())?;
+    let (view, image) = (stage.view(owner, number)?, stage.show(owner)?.truth(number)?);
     let [width, height] = [shot.camera.width as usize, shot.camera.height as usize];
     Ok((image.box_downscaled(width, height).over(shot.background()), view.time.normalised))
 }

@@ -4,7 +4,7 @@ use crate::checkpoints::Checkpoints;
 use crate::pose;
 use crate::scene::Scene;
 use gs_core::{Camera, Splats, Time};
-use gs_data::{Dataset, ImageCache, View};
+use gs_data::{Dataset, ImageCache, ImageU8, View};
 use gs_raster::RasterOptions;
 use gs4d_run::orbit::middle;
 use gs4d_run::{Kept, OpenRun, Training};
@@ -23,8 +23,10 @@ pub struct Show {
     scene: RwLock<Arc<Scene>>,
     checkpoints: Option<Checkpoints>,
     options: RasterOptions,
-    /// Dataset views listed by the page: the held-out ones first.
-    pub(crate) views: Vec<View>,
+    /// Dataset views listed by the page, the held-out ones first; corrected where cameras were refined.
+    views: Vec<View>,
+    /// The same as the data give them: their images are those of these.
+    given: Vec<View>,
     /// Number of held-out views.
     held_out: usize,
     images: Option<ImageCache>,
@@ -39,7 +41,7 @@ impl Show {
     /// A trained run. Without `dataset` it has the views and timestamps that the run has kept, and no ground truth.
     pub fn run(name: String, run: OpenRun, dataset: Option<&Dataset>) -> Self {
         let kept = dataset.is_none().then(|| run.kept().ok()).flatten();
-        let background = run.background();
+        let (background, placed) = (run.background(), run.placed());
         let options = run.loaded.model.raster_options(background);
         let images = dataset.map(|_| run.images());
         let checkpoints = run.folder().ok().map(|f| Checkpoints::of(run.resolved.registry.clone(), f.checkpoints()));
@@ -47,6 +49,7 @@ impl Show {
         (show.images, show.checkpoints) = (images, checkpoints);
         dataset.into_iter().for_each(|data| show.set_data(data));
         kept.into_iter().for_each(|kept| show.set_kept(kept));
+        show.views = show.given.iter().map(|view| placed.view(view)).collect();
         show
     }
 
@@ -86,9 +89,10 @@ impl Show {
         // One view of each camera: they stand still.
         let mut seen = std::collections::BTreeSet::new();
         let all = [&film.train, &film.test].into_iter().flatten();
-        show.views = all.filter(|v| seen.insert(v.camera_id)).take(MAX_VIEWS).cloned().collect();
-        show.views.sort_by_key(|v| v.camera_id);
-        show.views.iter_mut().for_each(|v| v.time = Time::default());
+        let mut views: Vec<View> = all.filter(|v| seen.insert(v.camera_id)).take(MAX_VIEWS).cloned().collect();
+        views.sort_by_key(|v| v.camera_id);
+        views.iter_mut().for_each(|v| v.time = Time::default());
+        show.set_views(views);
         show
     }
 
@@ -100,8 +104,8 @@ impl Show {
     fn new(name: String, scene: Scene, options: RasterOptions, background: [f32; 3]) -> Self {
         let (scene, times) = (RwLock::new(Arc::new(scene)), vec![0.0]);
         let (checkpoints, images) = (None, None);
-        let (views, held_out, clock) = (Vec::new(), 0, None);
-        Self { name, scene, checkpoints, options, views, held_out, images, times, clock, background }
+        let (views, given, held_out, clock) = (Vec::new(), Vec::new(), 0, None);
+        Self { name, scene, checkpoints, options, views, given, held_out, images, times, clock, background }
     }
 
     fn set_data(&mut self, data: &Dataset) {
@@ -117,11 +121,25 @@ impl Show {
 
     fn set_kept(&mut self, kept: Kept) {
         self.held_out = kept.held_out.len();
-        self.views = [kept.held_out, kept.train].concat();
+        self.set_views([kept.held_out, kept.train].concat());
         self.clock = kept.clock;
         if !kept.times.is_empty() {
             self.times = kept.times;
         }
+    }
+
+    fn set_views(&mut self, views: Vec<View>) {
+        self.views.clone_from(&views);
+        self.given = views;
+    }
+
+    /// The ground-truth image of a view, by its index.
+    ///
+    /// # Errors
+    /// A message, if there is none.
+    pub(crate) fn truth(&self, number: usize) -> Result<Arc<ImageU8>, String> {
+        let (images, view) = self.images.as_ref().zip(self.given.get(number)).ok_or("there are no images")?;
+        images.get(view).map_err(|e| e.to_string())
     }
 
     /// The newest scene, or the scene at the step of a checkpoint.

@@ -9,7 +9,7 @@ use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::palette::color_scale;
 use gs_train::timestamp::Timestamp;
-use gs4d_player::{Clip, Frames, Layer, Tolerance};
+use gs4d_player::{Clip, Frames, Layer, Spans, Tolerance};
 
 /// Most frames of a clip, unless more are asked for.
 const MAX_FRAMES: usize = 60;
@@ -32,14 +32,40 @@ impl Baker<'_> {
     /// # Errors
     /// If the splats of a time are not valid, differ in number, or none is visible.
     pub fn clip(&self, times: &[f32], tolerance: Tolerance, tick: &mut dyn FnMut(usize)) -> Result<Clip, ExportError> {
-        let mut splats = Vec::with_capacity(times.len());
-        for (k, &time) in times.iter().enumerate() {
-            splats.push(self.truncated(self.averaged(&Timestamp::normalised(time))?));
-            tick(k + 1);
-        }
-        let frames = Frames::new(times.to_vec(), splats)?;
+        let frames = self.frames(times, &|splats| splats, tick)?;
         let layers = clip_layers(self.method, &frames, times[times.len() / 2])?;
         Ok(Clip::fit(&frames, &self.cameras, tolerance).with_layers(layers))
+    }
+
+    /// The scene at ascending times as Gaussians that each last for a span, a unit of normalised time for `seconds`; and the number of
+    /// its splats.
+    ///
+    /// # Errors
+    /// As [`Self::clip`].
+    pub fn spans(
+        &self,
+        times: &[f32],
+        seconds: f64,
+        tolerance: Tolerance,
+        tick: &mut dyn FnMut(usize),
+    ) -> Result<(Spans, usize), ExportError> {
+        let frames = self.frames(times, &Splats::with_plain_kernel, tick)?;
+        Ok((Spans::fit(&frames, &self.cameras, tolerance, seconds), frames.len()))
+    }
+
+    /// The scene at ascending times, its splats as `kept`.
+    fn frames(
+        &self,
+        times: &[f32],
+        kept: &dyn Fn(Splats) -> Splats,
+        tick: &mut dyn FnMut(usize),
+    ) -> Result<Frames, ExportError> {
+        let mut splats = Vec::with_capacity(times.len());
+        for (k, &time) in times.iter().enumerate() {
+            splats.push(kept(self.truncated(self.averaged(&Timestamp::normalised(time))?)));
+            tick(k + 1);
+        }
+        Ok(Frames::new(times.to_vec(), splats)?)
     }
 }
 
@@ -83,17 +109,17 @@ fn paths(frames: &Frames) -> (Vec<[u8; 3]>, f32) {
     (lengths.iter().map(color).collect(), most)
 }
 
-/// Scores of a clip on a split, as the method itself is scored.
+/// Scores on a split of what a file plays at a normalised time, as the method itself is scored.
 ///
 /// # Errors
 /// Those of the evaluation.
-pub fn evaluate_clip(
-    clip: &Clip,
+pub fn evaluate_played(
+    played: &dyn Fn(f32) -> Splats,
     method: &Model,
     (dataset, split): (&Dataset, Split),
     scoring: &Scoring<'_>,
 ) -> Result<EvalReport, EvalError> {
-    let splats = |at: &Timestamp, _: &Camera| -> Result<Splats, MethodError> { Ok(clip.splats(at.t.normalised)) };
+    let splats = |at: &Timestamp, _: &Camera| -> Result<Splats, MethodError> { Ok(played(at.t.normalised)) };
     evaluate_splats(method, &splats, dataset, split, scoring)
 }
 

@@ -23,15 +23,16 @@ use gs4d_run::OpenRun;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// Write a trained scene at one or many times as .ply, .splat, .spz or .glb, whole as .gs4d, or as a page that plays it (.html), and report
-/// the loss in PSNR
+/// Write a trained scene at one or many times as .ply, .splat, .spz or .glb, in motion as .4dgs, whole as .gs4d, or as a page that plays it
+/// (.html), and report the loss in PSNR
 #[derive(clap::Args)]
 pub struct Export {
     /// A run folder or .gs4d file, or a splat file to convert (.ply, .splat, .spz, .glb, .sog).
     #[arg(value_name = "RUN|SCENE")]
     scene: PathBuf,
     /// The file to write, named by its format; with several times the folder for time-0000.EXT and times.json. NAME.gs4d keeps the
-    /// moving scene whole in one small file that the other verbs open. NAME.html is one page that plays it in any browser, without a server.
+    /// moving scene whole in one small file that the other verbs open. NAME.html is one page that plays it in any browser, without a server,
+    /// NAME.4dgs a file for programs that read that format.
     #[arg(short, long, value_name = "FILE|DIR")]
     out: PathBuf,
     /// Normalised times, A..B:N or one; 0 first to 1 last training frame [default: 0].
@@ -50,7 +51,7 @@ pub struct Export {
     /// Of a .gs4d file: bits per value, 32 exact, 16 half precision, 8 quantised; positions keep 16 [default: 8].
     #[arg(long, value_enum)]
     bits: Option<BitsName>,
-    /// Of a page: how far a splat may be displaced, as a share of its standard deviation in the image of the nearest camera [default: 0.1].
+    /// Of a page or a .4dgs file: how far a splat may be displaced, as a share of its standard deviation in the image of the nearest camera [default: 0.1].
     #[arg(long, value_name = "SHARE", value_parser = parse::positive)]
     tolerance: Option<f32>,
     /// Of a .glb: keep the motion. The rigid parts that `gs4d segment` finds lie under animated nodes, with key frames at the training
@@ -138,14 +139,14 @@ impl Export {
         if self.is_named("gs4d") {
             return self.whole(global);
         }
-        if self.is_named("html") {
+        if self.is_named("html") || self.is_named("4dgs") {
             return self.play(global);
         }
         if self.rigid {
             return self.rigid_parts(global);
         }
         if self.tolerance.is_some() {
-            return Err(Failure::usage("--tolerance is of .html pages"));
+            return Err(Failure::usage("--tolerance is of .html and .4dgs files"));
         }
         if self.bits.is_some() {
             return Err(Failure::usage("--bits is of .gs4d files"));
@@ -165,19 +166,20 @@ impl Export {
         self.out.extension().is_some_and(|e| e == extension)
     }
 
-    /// A page that plays the scene.
+    /// A page that plays the scene, or a `.4dgs` file of it.
     fn play(self, global: &Global) -> Result<Answer, Failure> {
         if self.format.is_some() || self.bits.is_some() || self.up.is_some() || self.rigid || self.is_of_file() {
             return Err(Failure::usage(
-                "a page plays a run, upright as its images are: without --format, --bits, --up and --rigid",
+                ".html and .4dgs files hold a run as its data lie: without --format, --bits, --up and --rigid",
             ));
         }
         check_free(self.force, "file", "name", [&self.out])?;
+        let spans = self.is_named("4dgs");
         let Self { scene: run, out, times, tolerance, sh_degree, split, no_eval, force, place, max_error, .. } = self;
         let tolerance = tolerance.map_or_else(Tolerance::default, Tolerance);
         let times = times.map(|t| t.0);
         let player = Player { run, out: out.clone(), times, tolerance, sh_degree, split, no_eval, force, place };
-        let (answer, loss) = player.run(global)?;
+        let (answer, loss) = if spans { player.run_spans(global) } else { player.run(global) }?;
         verdict(max_error, loss.as_ref(), &out, "a smaller --tolerance, a higher --sh-degree, more --times")?;
         Ok(answer)
     }
@@ -227,7 +229,7 @@ impl Export {
         let unknown = self.out.extension().filter(|_| SplatFormat::of_path(&self.out).is_none() && !self.out.is_dir());
         if let (Some(extension), None) = (unknown, self.format) {
             return Err(Failure::usage(format!(
-                "no file is written as .{}: -o FILE.ply, .splat, .spz, .glb, .gs4d or .html, or -o DIR with --format",
+                "no file is written as .{}: -o FILE.ply, .splat, .spz, .glb, .4dgs, .gs4d or .html, or -o DIR with --format",
                 extension.display()
             )));
         }

@@ -12,6 +12,7 @@ use gs_core::rot::Mat3;
 use gs_data::View;
 use gs_train::evaluate::evaluate_with;
 use gs4d_eval::export::{Baker, evaluate_rigid, frame_times};
+use gs4d_run::Kept;
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -31,6 +32,11 @@ pub struct Rigid {
     pub place: RunData,
 }
 
+/// How long a unit of normalised time plays.
+pub fn played_seconds(kept: &Kept) -> f64 {
+    kept.clock.filter(|[a, b]| *a < 0.0 || *b > 1.0).map_or(SECONDS, |[a, b]| b - a)
+}
+
 impl Rigid {
     /// Writes the file and reads it back; its answer, and what it lost in PSNR. `turn` gives the rotation of the file from the
     /// training views.
@@ -48,7 +54,7 @@ impl Rigid {
         times.sort_by(f32::total_cmp);
         times.dedup();
         let first = times.first().copied().unwrap_or(0.0);
-        let seconds = kept.clock.filter(|[a, b]| *a < 0.0 || *b > 1.0).map_or(SECONDS, |[a, b]| b - a);
+        let seconds = played_seconds(&kept);
         let model = &run.loaded.model;
         let baker = Baker::new(model, &views, self.sh_degree).turned(turn);
         let observed = kept.times.last().copied().unwrap_or(1.0);

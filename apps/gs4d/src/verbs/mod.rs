@@ -11,6 +11,7 @@ pub mod doctor;
 pub mod eval;
 pub mod export;
 mod export_rigid;
+mod export_spans;
 pub mod forecast;
 pub mod glmd;
 pub mod import;

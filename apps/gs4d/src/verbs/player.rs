@@ -1,4 +1,4 @@
-//! A trained scene as one web page that plays it: `gs4d export -o NAME.html`.
+//! A trained scene as one web page that plays it: `gs4d export -o NAME.html`. What a `.4dgs` file is made from is the same.
 
 use super::eval::SplitName;
 use super::export::Loss;
@@ -11,13 +11,13 @@ use glam::DVec3;
 use gs_core::io::{read_text, write_file};
 use gs_data::{Dataset, View};
 use gs_train::evaluate::evaluate_with;
-use gs4d_eval::export::{Baker, ExportError, evaluate_clip, frame_times, mean_up};
+use gs4d_eval::export::{Baker, ExportError, evaluate_played, frame_times, mean_up};
 use gs4d_player::{Clip, Page, PlayerError, Start, Tolerance};
-use gs4d_run::OpenRun;
+use gs4d_run::{Kept, OpenRun};
 use serde_json::json;
 use std::path::PathBuf;
 
-/// What a page is made from and how.
+/// What a page, or a `.4dgs` file, is made from and how.
 pub struct Player {
     pub run: PathBuf,
     pub out: PathBuf,
@@ -38,9 +38,7 @@ impl Player {
         // Opened first, so that nothing is written if the data are missing.
         let dataset = if self.no_eval { None } else { Some(run.open_data()?) };
         let (views, kept, share) = (run.training_views()?, run.kept().unwrap_or_default(), &run.share);
-        let mut times = self.times.clone().unwrap_or_else(|| frame_times(&kept.times));
-        times.sort_by(f32::total_cmp);
-        times.dedup();
+        let times = self.frame_times(&kept);
         let mut progress = Progress::new(times.len() as u64, "times", global.quiet);
         let baker = Baker::new(&run.loaded.model, &views, self.sh_degree);
         let made = baker.clip(&times, self.tolerance, &mut |k| progress.at(k as u64, || "baked".to_owned()))?;
@@ -60,12 +58,20 @@ impl Player {
         Ok((self.answer(&clip, html.len(), loss.as_ref()), loss))
     }
 
+    /// The normalised times of its frames, ascending.
+    pub(super) fn frame_times(&self, kept: &Kept) -> Vec<f32> {
+        let mut times = self.times.clone().unwrap_or_else(|| frame_times(&kept.times));
+        times.sort_by(f32::total_cmp);
+        times.dedup();
+        times
+    }
+
     fn measure(&self, run: &OpenRun, data: &Dataset, clip: &Clip) -> Result<Loss, Failure> {
         let (images, model, background) = (run.images(), &run.loaded.model, run.background());
         let split = self.split.into();
         let scoring = run.scoring(background, &images);
         let before = evaluate_with(model, data, split, &scoring)?;
-        let after = evaluate_clip(clip, model, (data, split), &scoring)?;
+        let after = evaluate_played(&|time| clip.splats(time), model, (data, split), &scoring)?;
         Ok(Loss::of(&before, &after, after.views.len()))
     }
 

@@ -22,9 +22,9 @@ use gs_train::method::MethodError;
 use gs_train::ranks::Share;
 use gs_train::renderer::{Renderer, file_stem};
 use gs_train::timestamp::Timestamp;
-use gs4d_run::OpenRun;
 use gs4d_run::flight::Flight;
 use gs4d_run::orbit::Orbit;
+use gs4d_run::{OpenRun, Placed};
 use mode::{Kind, Mode};
 use serde_json::{Value, json};
 use std::borrow::Cow;
@@ -130,6 +130,14 @@ impl Scene {
         match self {
             Scene::File(_) => Err(Failure::usage(format!("{what} needs a run"))),
             Scene::Run(run) => Ok(run.open_data()?),
+        }
+    }
+
+    /// Where the cameras of the run stand that were refined.
+    fn placed(&self) -> Placed {
+        match self {
+            Scene::File(_) => Placed::default(),
+            Scene::Run(run) => run.placed(),
         }
     }
 
@@ -293,7 +301,8 @@ impl Render {
         let view = number.parse::<usize>().ok().and_then(|n| held_out.get(n));
         let view =
             view.ok_or_else(|| Failure::usage(format!("--camera dataset:N: N from 0 to {}", held_out.len() - 1)))?;
-        Ok(vec![NamedCamera { name: view.name.clone(), camera: view.camera.clone(), time: Some(view.time.normalised) }])
+        let View { name, camera, time, .. } = scene.placed().view(view);
+        Ok(vec![NamedCamera { name, camera, time: Some(time.normalised) }])
     }
 
     /// As many cameras as there are times, else [`DEFAULT_FRAMES`]; `at(k, n)` is the `k`-th of `n`.

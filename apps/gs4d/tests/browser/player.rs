@@ -100,3 +100,47 @@ fn a_page_plays_the_scene() {
         desk.browser.leave();
     }
 }
+
+/// Milliseconds of the page's thread for a frame of a time that was not shown before, and of the worker for a new order.
+const WORK: &str = "(async () => {
+  const begun = performance.now(), keys = [3, 17, 31, 45, 59].map((k) => clip.key(k, null)), key = (performance.now() - begun) / 5;
+  const sorter = renderer.sorter, c = camera(1280, 720), m = [...c.viewmat], times = [];
+  await renderer.settled(c, 0.5);
+  const own = sorter.onmessage;
+  for (let k = 0; k < 12; k++) {
+    m[3] += 1e-4;
+    const at = performance.now();
+    await new Promise((done) => { sorter.onmessage = done; sorter.postMessage({ id: `w${k}`, camera: { ...c, viewmat: m }, time: 0.5, order: null }); });
+    times.push(performance.now() - at);
+  }
+  sorter.onmessage = own;
+  return [key, times.sort((a, b) => a - b)[6], keys.length];
+})()";
+
+/// What a page of 100 000 splats asks of a computer beside its graphics card.
+#[test]
+#[ignore = "a minute: cargo test -p gs4d --test browser -- --ignored --nocapture page_of_100_000"]
+fn a_page_of_100_000_splats_leaves_time_for_the_graphics_card() {
+    let Some(mut desk) = Desk::new() else { return };
+    let balls = desk.balls();
+    let many = ["--steps", "20", "--set", "init.points=100000", "--set", "schedule.density.max_splats=100000"];
+    let run = desk.train(&balls, "fourdgs", &many);
+    let page = desk.dir.path().join("many.html");
+    good(&["export", text(&run), "--times", "0..1:60", "--no-eval", "-q", "-o", text(&page)]);
+    desk.browser.resize(1000, 800);
+    desk.browser.open(&format!("file://{}", page.display()));
+    desk.browser.until("document.body && document.body.dataset.ready === '-1'");
+    desk.browser.eval("play(false)");
+    let work = desk.browser.eval(WORK);
+    let (key, sort) = (number(&work[0]), number(&work[1]));
+    let pace = number(&desk.browser.eval(PACE));
+    let size = desk.browser.eval("`${clip.count} splats at ${$('image').width}x${$('image').height}`");
+    let megabytes = std::fs::metadata(&page).unwrap().len() as f64 / 1e6;
+    println!(
+        "{size}, {megabytes:.2} MB: a new frame {key:.1} ms, an order {sort:.1} ms, {pace:.0} images a second in software"
+    );
+    // An order runs beside the page; a frame is made once and kept.
+    assert!(key < 100.0 && sort < 100.0, "{key} {sort}");
+    assert!(desk.browser.complaints.is_empty(), "{:?}", desk.browser.complaints);
+    desk.browser.leave();
+}

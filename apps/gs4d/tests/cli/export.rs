@@ -89,6 +89,22 @@ fn rigid_parts_are_written_with_their_motion_and_measured() {
 }
 
 #[test]
+fn a_4dgs_file_holds_the_motion_and_is_measured() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("scene.4dgs");
+    let all = ["export", text(run()), "--times", "0..1:9", "-o", text(&file), "--json", "--quiet"];
+    let json = good(&all).json();
+    let number = |key: &str| json[key].as_f64().unwrap_or_else(|| panic!("{key}: {json}"));
+    assert!(number("gaussians") >= number("splats") && number("frames") == 9.0, "{json}");
+    assert_eq!(number("bytes"), fs::metadata(&file).unwrap().len() as f64);
+    assert!((number("seconds") - 3.0 * 9.0 / 8.0).abs() < 1e-6, "the last frame lasts as long as the others");
+    let loss = json["psnr"]["loss"].as_f64().unwrap();
+    assert!(loss.abs() < 1.0, "{json}");
+    gs4d(&["export", text(run()), "-o", text(&file)]).fails(6, &["scene.4dgs"]);
+    gs4d(&["export", text(run()), "--up", "z", "-o", text(&dir.path().join("b.4dgs"))]).fails(2, &["--up"]);
+}
+
+#[test]
 fn a_file_draws_what_the_run_draws_at_its_time() {
     let dir = tempfile::tempdir().unwrap();
     let (file, camera) = (dir.path().join("half.glb"), dir.path().join("camera.json"));

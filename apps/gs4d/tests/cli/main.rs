@@ -25,6 +25,7 @@ mod lpips;
 mod moved;
 mod pipes;
 mod pose;
+mod refined;
 mod render;
 mod report;
 mod reproduce;

@@ -1,0 +1,41 @@
+//! Where the cameras of a run stand whose cameras were refined.
+
+use super::folder;
+use crate::OpenRun;
+use gs_data::View;
+use gs_train::cameras::{Cameras, Correction};
+use gs_train::evaluate::EvalReport;
+use std::collections::BTreeMap;
+
+/// The corrections of a run's cameras: those that were learnt, and those that placed held-out views when the run was scored
+/// (`metrics.json`). Empty where cameras were not refined.
+#[derive(Clone, Debug, Default)]
+pub struct Placed {
+    learnt: Cameras,
+    scored: BTreeMap<String, Correction>,
+}
+
+impl OpenRun {
+    /// The corrections of its cameras.
+    pub fn placed(&self) -> Placed {
+        let learnt = self.loaded.model.cameras().clone();
+        let report = || -> Option<EvalReport> {
+            let folder = self.folder().ok().filter(|_| !learnt.is_empty())?;
+            serde_json::from_str(&folder.read(folder::METRICS).ok()?).ok()
+        };
+        let report = report();
+        let future = report.iter().filter_map(|report| report.extrapolate.as_deref());
+        let views = report.iter().chain(future).flat_map(|report| &report.views);
+        let scored = views.filter_map(|view| Some((view.name.clone(), view.camera?))).collect();
+        Placed { learnt, scored }
+    }
+}
+
+impl Placed {
+    /// A view with the camera and time that it is rendered with; as the data give it where nothing is known. Its image is that
+    /// of the data's view ([`Correction::corrected`]).
+    pub fn view(&self, view: &View) -> View {
+        let known = self.learnt.of(view).or_else(|| self.scored.get(&view.name).copied());
+        known.map_or_else(|| view.clone(), |correction| correction.corrected(view))
+    }
+}
