@@ -377,7 +377,7 @@ pub fn evaluate_splats(
     let options = model.raster_options(background);
     let (mut rasterizer, mut frame, mut scorer) =
         (device.open()?, Frame::default(), Scorer::new(SsimOptions::default()));
-    let corrections = place(model, splats, views, background, images, share)?;
+    let corrections = place(model, views, background, images, share)?;
     let scored = share.each(views.len(), |k| {
         let view = &views[k];
         let correction = corrections[k].unwrap_or_default();

@@ -4,7 +4,6 @@
 //! typical time steps of the data set apart. Anything else is an error.
 
 use crate::folders::VideoScore;
-use gs_core::Camera;
 use gs_data::{DataError, Dataset, Split, View};
 use gs_metrics::{MetricError, Tof, TofOptions};
 use gs_train::evaluate::{EvalError, Scoring, place};
@@ -12,7 +11,6 @@ use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::ranks::Share;
 use gs_train::renderer::Renderer;
-use gs_train::timestamp::Timestamp;
 
 /// Largest median time step between views, in median time steps of the data set.
 pub(crate) const MAX_SKIPPED: f64 = 4.0;
@@ -81,14 +79,16 @@ pub fn tof(
     scoring: &Scoring<'_>,
     options: TofOptions,
 ) -> Result<VideoScore, TemporalError> {
-    let views: Vec<View> = video(dataset, split)?.into_iter().cloned().collect();
+    let views = video(dataset, split)?;
     let Scoring { background, images, device, .. } = *scoring;
     let mut renderer = Renderer::on(device, method.raster_options(background))?;
     let mut tof = Tof::new(options);
-    let splats = |at: &Timestamp, camera: &Camera| method.splats(at, camera);
-    let corrections = place(method, &splats, &views, background, images, &Share::default())?;
-    for (view, correction) in views.iter().zip(corrections) {
-        let shown = correction.unwrap_or_default().corrected(view);
+    // In the order of the data, as for other scores.
+    let all = dataset.views(split);
+    let corrections = place(method, all, background, images, &Share::default())?;
+    for &view in &views {
+        let row = all.iter().position(|v| std::ptr::eq(v, view));
+        let shown = row.and_then(|row| corrections[row]).unwrap_or_default().corrected(view);
         let image = renderer.view(method, &shown, &images.camera(&shown))?;
         let truth = images.get(view)?.over(background);
         tof.add(&image, &truth).map_err(|source| TemporalError::Metric { view: view.name.clone(), source })?;

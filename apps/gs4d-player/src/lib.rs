@@ -69,9 +69,9 @@ pub enum PlayerError {
         what: String,
     },
     /// A page without a clip, or a damaged page or file.
-    #[error("it cannot be read back: {0}; export it again")]
+    #[error("the page or file cannot be read back: {0}; export it again")]
     Damaged(String),
     /// A clip cannot be written as text, or a value is refused by the encoder of a file.
-    #[error("it cannot be written: {0}")]
+    #[error("the scene cannot be written: {0}; try a larger --tolerance, fewer --times or a lower --sh-degree")]
     Write(String),
 }

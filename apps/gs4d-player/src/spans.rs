@@ -3,7 +3,7 @@
 use crate::PlayerError;
 use crate::clip::flat;
 use crate::fit::Bounds;
-use crate::frames::{Frames, Tolerance, VISIBLE, aligned, mean_coefficient, sizes};
+use crate::frames::{Frames, Size, Tolerance, VISIBLE, aligned, mean_coefficient, sizes};
 use fourdgs::quantization::{DEFAULT_CUTOFF, Profile, SH_QUANT_HI, SH_QUANT_LO, sh_coefficient};
 use fourdgs::{GaussianSet, ReadOptions, SceneExtras, WriteOptions};
 use glam::Vec3;
@@ -13,12 +13,14 @@ use std::ops::Range;
 
 /// Times are whole multiples of this in a file, seconds: the step of [`Profile::Fine`].
 const TICK: f64 = 1e-3;
+/// Longest span of a Gaussian that moves, seconds: the format bounds the error of a displacement over no more (section 6.3).
+const LONGEST: f64 = 2.0;
 /// Header attributes: the normalised time at 0 s, and the seconds of a unit of normalised time.
 const ATTRIBUTES: [&str; 2] = ["gs4d_first_time", "gs4d_seconds"];
 
 /// A moving scene as Gaussians with one velocity each, visible from a time to another and constant but for that: what the temporal model
 /// `gaussian-birth` of `.4dgs` files says (Avala AI, 2026, specification version 1, section 3). A splat becomes as many of them as its
-/// motion needs.
+/// motion needs. Colours of degree 0 are clamped to 0..1, harmonics above it are their mean over time.
 pub struct Spans {
     gaussians: GaussianSet,
     /// Normalised time at 0 s.
@@ -34,10 +36,26 @@ pub struct Spans {
 /// What is constant while a Gaussian lasts: quaternion, natural logarithms of the scales, opacity, colour of degree 0.
 type Row = [f32; 11];
 
+/// A splat over the frames.
+struct Path {
+    means: Vec<Vec3>,
+    rows: Vec<Row>,
+    /// How far a mean may be off, world units.
+    mean: f32,
+    /// The same of the values of a row.
+    row: Row,
+}
+
+/// The frames that a Gaussian lasts for, and whether its mean rests.
+struct Span {
+    frames: Range<usize>,
+    rests: bool,
+}
+
 impl Spans {
     /// The frames within a tolerance, as the nearest of `cameras` sees them; `seconds` is how long a unit of normalised time plays.
     /// Between frames where rotation, size, opacity or colour change by more than twice the tolerance, they are their mean. The last
-    /// frame lasts as long as the others. Kernels that are not Gaussian are taken for Gaussian ones.
+    /// frame is held for the mean interval of the others. Kernels that are not Gaussian are taken for Gaussian ones.
     pub fn fit(frames: &Frames, cameras: &[Camera], tolerance: Tolerance, seconds: f64) -> Self {
         let first = frames.times.first().map_or(0.0, |&t| f64::from(t));
         let mut starts: Vec<f64> = frames.times.iter().map(|&t| (f64::from(t) - first) * seconds).collect();
@@ -50,24 +68,18 @@ impl Spans {
             Color::Sh { degree, .. } => degree,
             Color::Rgb(_) => 0,
         };
-        let mut gaussians = GaussianSet { sh_degree: degree, ..GaussianSet::default() };
-        gaussians.sh_coefficients = sh::coeffs(degree) - 1;
+        let count = sh::coeffs(degree) - 1;
+        let mut gaussians = GaussianSet { sh_degree: degree, sh_coefficients: count, ..GaussianSet::default() };
         let mut harmonics = Vec::new();
         for (i, size) in sizes(frames, cameras).into_iter().enumerate() {
-            let largest = frames.splats.iter().fold(0.0f32, |m, s| m.max(s.opacities[i]));
-            let bounds = Bounds::new(tolerance.0, size, largest);
-            let means: Vec<Vec3> = frames.splats.iter().map(|s| s.means[i]).collect();
-            let rows = rows(frames, i);
-            let bytes = harmonic_bytes(frames, i, gaussians.sh_coefficients);
+            let (path, bytes) = (Path::new(frames, i, size, tolerance), harmonic_bytes(frames, i, count));
             let mut from = 0;
-            while from < rows.len() {
-                let to = end(from, &means, &rows, bounds);
-                let middle = middle(&rows[from..=to.min(rows.len() - 1)]);
-                if middle[7] >= VISIBLE {
-                    push(&mut gaussians, &means, &middle, from..to, &starts);
+            while from < path.rows.len() {
+                let span = path.span(from, &starts);
+                from = span.frames.end;
+                if path.push(&mut gaussians, &span, &starts) {
                     harmonics.extend_from_slice(&bytes);
                 }
-                from = to;
             }
         }
         gaussians.sh = (degree > 0).then_some(harmonics);
@@ -89,22 +101,24 @@ impl Spans {
         self.duration
     }
 
-    /// As a `.4dgs` file of the finest of its profiles.
+    /// As a `.4dgs` file of the finest of its profiles: means lie on a grid of a twenty-fifth of the median scale.
     ///
     /// # Errors
-    /// If the encoder refuses a value or finds one outside the bounds that the file declares.
+    /// If the encoder refuses a value.
     pub fn bytes(&self) -> Result<Vec<u8>, PlayerError> {
-        let own =
-            ATTRIBUTES.into_iter().zip([self.first, self.seconds]).map(|(key, v)| (key.to_owned(), v.to_string()));
-        let said = [("color_space", "srgb-rec709-display"), ("visibility_profile", "box"), ("source", "gs4d")];
-        let said = said.into_iter().map(|(key, value)| (key.to_owned(), value.to_owned()));
-        let metadata: BTreeMap<String, String> = own.chain(said).collect();
+        let times = ATTRIBUTES.into_iter().zip([self.first, self.seconds].map(|v| v.to_string()));
+        let registered = [("color_space", "srgb-rec709-display"), ("visibility_profile", "box"), ("source", "gs4d")];
+        let registered = registered.map(|(key, value)| (key, value.to_owned()));
+        let metadata: BTreeMap<String, String> =
+            times.chain(registered).map(|(key, value)| (key.to_owned(), value)).collect();
         let options = WriteOptions {
             profile: Profile::Fine,
             cutoff: self.cutoff,
             sh_bands: self.gaussians.sh_degree,
             library: format!("gs4d {}", env!("CARGO_PKG_VERSION")),
             metadata,
+            // It takes the rounding of large coordinates to f32 for a violation.
+            verify: false,
             ..WriteOptions::default()
         };
         let written = fourdgs::write_to_vec(&self.gaussians, self.duration, &options, &SceneExtras::default());
@@ -119,6 +133,10 @@ impl Spans {
         let options = ReadOptions { recover_truncated: false, ..ReadOptions::default() };
         let scene = fourdgs::stream_reader::read_from(bytes, &options);
         let scene = scene.map_err(|e| PlayerError::Damaged(e.to_string()))?;
+        let g = &scene.gaussians;
+        if g.sh.is_some() && g.sh_coefficients + 1 != sh::coeffs(g.sh_degree) {
+            return Err(PlayerError::Damaged(format!("harmonics are missing of degree {}", g.sh_degree)));
+        }
         let attribute =
             |key| scene.header.attributes.get(key).and_then(|v| v.parse::<f64>().ok()).filter(|v| v.is_finite());
         let [first, seconds] = ATTRIBUTES.map(attribute);
@@ -160,39 +178,86 @@ impl Spans {
     }
 }
 
-/// The constant values of a splat at each frame.
-fn rows(frames: &Frames, i: usize) -> Vec<Row> {
-    let quats = aligned(frames, i);
-    let row = |(s, q): (&Splats, &[f32; 4])| {
-        let size = s.scales[i].to_array().map(|v| v.abs().max(1e-12).ln());
-        let rgb = flat(&s.color, i).map(|v| v.clamp(0.0, 1.0));
-        [q[0], q[1], q[2], q[3], size[0], size[1], size[2], s.opacities[i], rgb[0], rgb[1], rgb[2]]
-    };
-    frames.splats.iter().zip(quats.as_chunks().0).map(row).collect()
-}
+impl Path {
+    fn new(frames: &Frames, i: usize, size: Size, tolerance: Tolerance) -> Self {
+        let largest = frames.splats.iter().fold(0.0f32, |m, s| m.max(s.opacities[i]));
+        let Bounds { mean, quat, log_scale, opacity, color } = Bounds::new(tolerance.0, size, largest);
+        let quats = aligned(frames, i);
+        let row = |(s, q): (&Splats, &[f32; 4])| {
+            let size = s.scales[i].to_array().map(|v| v.abs().max(1e-12).ln());
+            let rgb = flat(&s.color, i).map(|v| v.clamp(0.0, 1.0));
+            [q[0], q[1], q[2], q[3], size[0], size[1], size[2], s.opacities[i], rgb[0], rgb[1], rgb[2]]
+        };
+        Self {
+            means: frames.splats.iter().map(|s| s.means[i]).collect(),
+            rows: frames.splats.iter().zip(quats.as_chunks().0).map(row).collect(),
+            mean,
+            row: [quat, quat, quat, quat, log_scale, log_scale, log_scale, opacity, color, color, color],
+        }
+    }
 
-/// The frame that a span from `from` ends before: the farthest found that stays within the bounds; the next one at least.
-fn end(from: usize, means: &[Vec3], rows: &[Row], bounds: Bounds) -> usize {
-    let Bounds { mean, quat, log_scale, opacity, color } = bounds;
-    let bound: Row = [quat, quat, quat, quat, log_scale, log_scale, log_scale, opacity, color, color, color];
-    let [mut low, mut high] = [rows[from]; 2];
-    let mut still = |to: usize| {
-        let row = &rows[to];
-        low.iter_mut().zip(row).for_each(|(low, v)| *low = low.min(*v));
-        high.iter_mut().zip(row).for_each(|(high, v)| *high = high.max(*v));
-        low.iter().zip(high).zip(bound).all(|((low, high), bound)| high - low <= 2.0 * bound)
-    };
-    let straight = |to: usize| {
-        (from + 1..to).all(|m| {
-            let share = (m - from) as f32 / (to - from) as f32;
-            means[from].lerp(means[to], share).distance(means[m]) <= mean
-        })
-    };
-    let far = (from + 1..rows.len()).take_while(|&to| still(to) && straight(to)).last();
-    match far {
-        // Nothing comes after the last frame, so it is within.
-        Some(to) if to == rows.len() - 1 => rows.len(),
-        far => far.unwrap_or(from + 1),
+    /// The span from a frame on: the longest found that stays within the bounds, of one frame at least.
+    fn span(&self, from: usize, starts: &[f64]) -> Span {
+        let last = self.rows.len() - 1;
+        let [mut low, mut high] = [self.rows[from]; 2];
+        let [mut nearest, mut farthest] = [self.means[from]; 2];
+        let (mut to, mut rests) = (from, true);
+        while to < last {
+            let (next, mean) = (&self.rows[to + 1], self.means[to + 1]);
+            low.iter_mut().zip(next).for_each(|(low, v)| *low = low.min(*v));
+            high.iter_mut().zip(next).for_each(|(high, v)| *high = high.max(*v));
+            (nearest, farthest) = (nearest.min(mean), farthest.max(mean));
+            let still = low.iter().zip(high).zip(self.row).all(|((low, high), bound)| high - low <= 2.0 * bound);
+            let resting = (farthest - nearest).max_element() <= 2.0 * self.mean;
+            if !(still && (resting || self.is_straight(from, to + 1, starts))) {
+                break;
+            }
+            (to, rests) = (to + 1, resting);
+        }
+        if to == from {
+            return Span { frames: from..from + 1, rests: from == last };
+        }
+        // What rests at the last frame stays; what moves has arrived there.
+        let end = if to == last && rests { last + 1 } else { to };
+        Span { frames: from..end, rests }
+    }
+
+    /// Whether the mean is on a line between two frames, and no longer on it than a file can say.
+    fn is_straight(&self, from: usize, to: usize, starts: &[f64]) -> bool {
+        let length = starts[to] - starts[from];
+        let near = |m: usize| {
+            let share = cast::to_f32((starts[m] - starts[from]) / length);
+            self.means[from].lerp(self.means[to], share).distance(self.means[m]) <= self.mean
+        };
+        (to == from + 1 || length <= LONGEST) && (from + 1..to).all(near)
+    }
+
+    /// Appends the Gaussian of a span; not one that is invisible.
+    fn push(&self, to: &mut GaussianSet, span: &Span, starts: &[f64]) -> bool {
+        let (a, b) = (span.frames.start, span.frames.end.min(self.rows.len() - 1));
+        let [w, x, y, z, size @ .., opacity, red, green, blue] = middle(&self.rows[a..=b]);
+        if opacity < VISIBLE {
+            return false;
+        }
+        // The time that the mean is of, as a file keeps it.
+        let birth = (starts[a] / TICK).round() * TICK;
+        let (mean, velocity) = if span.rests {
+            let range = |pick: fn(Vec3, Vec3) -> Vec3| self.means[a..=b].iter().copied().fold(self.means[a], pick);
+            (0.5 * (range(Vec3::min) + range(Vec3::max)), Vec3::ZERO)
+        } else {
+            let velocity = (self.means[b] - self.means[a]) / cast::to_f32(starts[b] - starts[a]);
+            (self.means[a] + velocity * cast::to_f32(birth - starts[a]), velocity)
+        };
+        to.positions.extend(mean.to_array());
+        to.scales.extend(size.map(f32::exp));
+        to.rotations.extend([x, y, z, w]);
+        to.colors.extend([red, green, blue, opacity]);
+        to.motions.extend(velocity.to_array());
+        to.mu_t.push(cast::to_f32(birth));
+        to.sigma_t.push(f32::INFINITY);
+        to.win_lo.push(cast::to_f32(starts[a]));
+        to.win_hi.push(cast::to_f32(starts[span.frames.end]));
+        true
     }
 }
 
@@ -207,26 +272,6 @@ fn middle(rows: &[Row]) -> Row {
     out
 }
 
-/// Appends the Gaussian of some frames.
-fn push(to: &mut GaussianSet, means: &[Vec3], row: &Row, frames: Range<usize>, starts: &[f64]) {
-    let (a, b) = (frames.start, frames.end.min(means.len() - 1));
-    let span = starts[b] - starts[a];
-    let velocity = if span > 0.0 { (means[b] - means[a]) / cast::to_f32(span) } else { Vec3::ZERO };
-    // The time that the mean is of, as a file keeps it.
-    let birth = (starts[a] / TICK).round() * TICK;
-    let mean = means[a] + velocity * cast::to_f32(birth - starts[a]);
-    let [w, x, y, z, size @ .., opacity, r, g, b] = *row;
-    to.positions.extend(mean.to_array());
-    to.scales.extend(size.map(f32::exp));
-    to.rotations.extend([x, y, z, w]);
-    to.colors.extend([r, g, b, opacity]);
-    to.motions.extend(velocity.to_array());
-    to.mu_t.push(cast::to_f32(birth));
-    to.sigma_t.push(f32::INFINITY);
-    to.win_lo.push(cast::to_f32(starts[frames.start]));
-    to.win_hi.push(cast::to_f32(starts[frames.end]));
-}
-
 /// The harmonics above degree 0 of a splat as bytes, all of red first; they do not change with time.
 fn harmonic_bytes(frames: &Frames, i: usize, count: usize) -> Vec<u8> {
     let scale = 255.0 / (SH_QUANT_HI - SH_QUANT_LO);
@@ -239,16 +284,41 @@ fn harmonic_bytes(frames: &Frames, i: usize, count: usize) -> Vec<u8> {
 mod tests {
     use super::*;
 
+    fn path(means: Vec<Vec3>) -> Path {
+        let rows = vec![[0.5; 11]; means.len()];
+        Path { means, rows, mean: 0.01, row: [0.01; 11] }
+    }
+
+    /// Frames of the spans of a path, and whether they rest.
+    fn spans(path: &Path, starts: &[f64]) -> Vec<(Range<usize>, bool)> {
+        let (mut from, mut out) = (0, Vec::new());
+        while from < path.rows.len() {
+            let span = path.span(from, starts);
+            from = span.frames.end;
+            out.push((span.frames, span.rests));
+        }
+        out
+    }
+
     #[test]
     fn a_span_ends_where_the_motion_bends_or_the_rest_changes() {
-        let bounds = Bounds { mean: 0.01, quat: 0.01, log_scale: 0.1, opacity: 0.01, color: 0.01 };
-        let straight: Vec<Vec3> = (0..9).map(|k| Vec3::X * k as f32).collect();
-        let bent: Vec<Vec3> = (0..9).map(|k| Vec3::X * (k as f32 - 4.0).abs()).collect();
-        let same = vec![[0.5; 11]; 9];
-        assert_eq!([end(0, &straight, &same, bounds), end(0, &bent, &same, bounds)], [9, 4]);
-        assert_eq!([end(4, &bent, &same, bounds), end(8, &bent, &same, bounds)], [9, 9]);
-        let mut fades = same;
-        fades[6][7] = 0.4;
-        assert_eq!(end(0, &straight, &fades, bounds), 5);
+        let starts: Vec<f64> = (0..10).map(|k| 0.1 * f64::from(k)).collect();
+        let line = |at: fn(f32) -> f32| path((0..9).map(|k| Vec3::X * at(k as f32)).collect());
+        assert_eq!(spans(&line(|_| 1.0), &starts), [(0..9, true)]);
+        assert_eq!(spans(&line(|k| k), &starts), [(0..8, false), (8..9, true)]);
+        assert_eq!(spans(&line(|k| (k - 4.0).abs()), &starts), [(0..4, false), (4..8, false), (8..9, true)]);
+        // Half of the time at rest.
+        assert_eq!(spans(&line(|k| (k - 4.0).max(0.0)), &starts), [(0..4, true), (4..8, false), (8..9, true)]);
+        let mut fades = line(|k| k);
+        fades.rows[6][7] = 0.4;
+        let want = [(0..5, false), (5..6, false), (6..7, false), (7..8, false), (8..9, true)];
+        assert_eq!(spans(&fades, &starts), want);
+        // Longer than the format can say.
+        let slow: Vec<f64> = (0..10).map(|k| 0.7 * f64::from(k)).collect();
+        assert_eq!(spans(&line(|k| k), &slow)[..2], [(0..2, false), (2..4, false)]);
+        // A line in time is none in frames that are not evenly spaced.
+        let uneven = [0.0, 0.1, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1];
+        let moved = path(uneven[..9].iter().map(|t| Vec3::X * *t as f32).collect());
+        assert_eq!(spans(&moved, &uneven), [(0..8, false), (8..9, true)]);
     }
 }

@@ -35,6 +35,11 @@ impl Placed {
     /// A view with the camera and time that it is rendered with; as the data give it where nothing is known. Its image is that
     /// of the data's view ([`Correction::corrected`]).
     pub fn view(&self, view: &View) -> View {
+        self.learnt.of(view).map_or_else(|| view.clone(), |correction| correction.corrected(view))
+    }
+
+    /// The same of a held-out view, whose camera may have been placed when it was scored.
+    pub fn held_out(&self, view: &View) -> View {
         let known = self.learnt.of(view).or_else(|| self.scored.get(&view.name).copied());
         known.map_or_else(|| view.clone(), |correction| correction.corrected(view))
     }

@@ -60,7 +60,8 @@ pub(crate) fn build_report(m: &ReportInput) -> Result<Report, RunError> {
     let log = m.folder.log_lines(folder::LOG)?;
     let options = m.method.raster_options(m.scores.background);
     let mut renderer = Renderer::on(m.device, options.clone())?;
-    let ranked: Vec<&View> = score_table::ranked(m.dataset, m.scores).into_iter().map(|(view, _)| view).collect();
+    let ranked = score_table::ranked(m.dataset, m.scores).into_iter();
+    let ranked: Vec<View> = ranked.map(|(view, s)| s.camera.unwrap_or_default().corrected(view)).collect();
     let future = m.scores.extrapolate.as_deref();
     let mut report = Report {
         title: format!("{} · {}", data_name(m), m.method.name()),
@@ -92,7 +93,7 @@ pub(crate) fn build_report(m: &ReportInput) -> Result<Report, RunError> {
         }),
         ..Report::default()
     };
-    let typical = ranked.get(score_table::median(ranked.len())).copied();
+    let typical = ranked.get(score_table::median(ranked.len()));
     if let Some(view) = typical.or(m.dataset.train.first()) {
         let camera = m.images.camera(view);
         if m.dataset.dynamic {

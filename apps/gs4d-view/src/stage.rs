@@ -49,7 +49,9 @@ impl Show {
         (show.images, show.checkpoints) = (images, checkpoints);
         dataset.into_iter().for_each(|data| show.set_data(data));
         kept.into_iter().for_each(|kept| show.set_kept(kept));
-        show.views = show.given.iter().map(|view| placed.view(view)).collect();
+        let (held_out, train) = show.given.split_at(show.held_out);
+        let train = train.iter().map(|view| placed.view(view));
+        show.views = held_out.iter().map(|view| placed.held_out(view)).chain(train).collect();
         show
     }
 

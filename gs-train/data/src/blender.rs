@@ -10,11 +10,11 @@
 use std::path::Path;
 
 use glam::{DMat4, DVec2, Vec3};
-use gs_core::{Camera, Time};
+use gs_core::{Camera, Time, cast};
 
 use super::error::{DataError, Place};
 use super::files::{Root, read_text};
-use super::frames::{Listed, locate, name_views, number_cameras, with_headers};
+use super::frames::{Listed, locate, name_views, share_cameras, with_headers};
 use super::header::ImageHeader;
 use super::json::{Document, Fields, MAX_JSON_BYTES, quote_non_finite};
 use super::options::{DataOptions, TimeRange};
@@ -61,7 +61,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     };
     let (val, test) = (other("val")?, other("test")?);
     let mut drafts = Drafts { train: train.drafts, val, test };
-    number_cameras(&mut drafts);
+    share_cameras(&mut drafts);
     let settled = settle(drafts, options, Some(TimeRange { start: 0.0, end: 1.0 }))?;
     Ok(Dataset {
         bounds: Some([Vec3::splat(-HALF_SIDE), Vec3::splat(HALF_SIDE)]),
@@ -97,13 +97,13 @@ fn read_split(
     let frames = with_headers(file, frames, options, notes)?;
     let has_alpha = frames.iter().any(|(_, h)| h.has_alpha);
     let shown: Vec<_> = frames.iter().map(|(f, _)| f.shown.clone()).collect();
-    let draft = |(listed, header): (Listed<Frame>, ImageHeader)| {
+    let draft = |(k, (listed, header)): (usize, (Listed<Frame>, ImageHeader))| {
         let frame = listed.rest;
         let camera = pinhole(&header, angle, &frame.pose, &frame.place)?;
-        let view = View::new("", camera, Time::default(), ImageSource::File(listed.path), 0);
+        let view = View::new("", camera, Time::default(), ImageSource::File(listed.path), cast::to_u32(k));
         Ok(Draft { view, stated: frame.time, place: frame.time_place })
     };
-    let mut drafts = frames.into_iter().map(draft).collect::<Result<Vec<_>, DataError>>()?;
+    let mut drafts = frames.into_iter().enumerate().map(draft).collect::<Result<Vec<_>, DataError>>()?;
     name_views(&mut drafts, &shown);
     Ok(SplitRead { drafts, has_alpha })
 }

@@ -1,6 +1,6 @@
 //! Steps every JSON reader shares: frames with poses, images that exist, unique names.
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
 
 use gs_core::cast;
@@ -90,12 +90,24 @@ fn without_folder(path: &Path) -> String {
 pub(crate) fn number_cameras(drafts: &mut Drafts) -> usize {
     let mut known: BTreeMap<[u64; 12], u32> = BTreeMap::new();
     for d in drafts.train.iter_mut().chain(&mut drafts.val).chain(&mut drafts.test) {
-        let (r, t) = (d.view.camera.rotation.to_cols_array(), d.view.camera.translation.to_array());
-        let pose = std::array::from_fn(|i| if i < 9 { r[i] } else { t[i - 9] }.to_bits());
         let next = cast::to_u32(known.len());
-        d.view.camera_id = *known.entry(pose).or_insert(next);
+        d.view.camera_id = *known.entry(pose_bits(d)).or_insert(next);
     }
     known.len()
+}
+
+/// The same where a pose repeats; else views keep their numbers, which stored digests have.
+pub(crate) fn share_cameras(drafts: &mut Drafts) {
+    let mut poses = BTreeSet::new();
+    if !drafts.all().all(|d| poses.insert(pose_bits(d))) {
+        number_cameras(drafts);
+    }
+}
+
+fn pose_bits(draft: &Draft) -> [u64; 12] {
+    let camera = &draft.view.camera;
+    let (r, t) = (camera.rotation.to_cols_array(), camera.translation.to_array());
+    std::array::from_fn(|i| if i < 9 { r[i] } else { t[i - 9] }.to_bits())
 }
 
 /// The image folder below `root`: the one asked for, or the first of the `usual` ones that exists; `missing` says what

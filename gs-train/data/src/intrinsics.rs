@@ -80,7 +80,11 @@ impl Intrinsics {
             return Ok(None);
         }
         if !undistort {
-            let model = format!("with distortion {:?} (data.undistort is false)", self.lens.to_array());
+            let Lens { fisheye, k1, k2, k3, k4, p1, p2, skew } = self.lens;
+            let kind = if fisheye { "fisheye" } else { "distortion" };
+            let model = format!(
+                "with {kind} k1 {k1}, k2 {k2}, k3 {k3}, k4 {k4}, p1 {p1}, p2 {p2}, skew {skew} (data.undistort is false)"
+            );
             return Err(DataError::CameraModel { place: place.clone(), model });
         }
         Ok(Some(self.lens))

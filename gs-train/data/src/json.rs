@@ -312,6 +312,18 @@ impl<'a> Fields<'a> {
         }
     }
 
+    /// Whether a field is true; false where it is not there.
+    ///
+    /// # Errors
+    /// `data.field` for anything else.
+    pub(crate) fn flag(&self, key: &str) -> Result<bool, DataError> {
+        match self.map.get(key) {
+            None | Some(Value::Null) => Ok(false),
+            Some(Value::Bool(v)) => Ok(*v),
+            Some(v) => Err(self.fault(key, &v.to_string(), "it must be true or false", "correct the field")),
+        }
+    }
+
     /// A text that must be there.
     ///
     /// # Errors

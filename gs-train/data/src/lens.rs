@@ -24,7 +24,7 @@ use gs_core::{Camera, cast};
 
 use super::pixels::ImageU8;
 
-/// Coefficients of the distortion; all zero is a pinhole.
+/// Coefficients of the distortion; all zero is a pinhole, unless it is a fisheye.
 ///
 /// ```
 /// use gs_data::Lens;

@@ -2,7 +2,7 @@
 //!
 //! Intrinsics at top level or in each frame, those of the frame first: `fl_x fl_y cx cy w h`, or `camera_angle_x` (and
 //! `camera_angle_y`), and the distortion `k1 k2 k3 p1 p2` of OpenCV, or with
-//! `camera_model` `OPENCV_FISHEYE` the `k1 k2 k3 k4` of its fisheye. Per frame `file_path`, `transform_matrix` (camera to
+//! `camera_model` `OPENCV_FISHEYE`, or `is_fisheye`, the `k1 k2 k3 k4` of its fisheye. Per frame `file_path`, `transform_matrix` (camera to
 //! world, OpenGL axes) and optionally `time`, `camera_index` (frames of one camera of a rig share it; where any frame lacks it, frames of
 //! one pose are of one camera), `mask_path` (white counts, black does not) and
 //! `depth_file_path` (`.npy` or PNG of 16 bit, in millimetres unless `depth_unit_scale_factor` at top level says otherwise). `train_filenames`, `val_filenames`, `test_filenames` give the split, else
@@ -13,11 +13,11 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use glam::DVec2;
-use gs_core::Time;
+use gs_core::{Time, cast};
 
 use super::error::{DataError, Place};
 use super::files::{Root, read_text};
-use super::frames::{Listed, locate, name_views, number_cameras, with_headers};
+use super::frames::{Listed, locate, name_views, share_cameras, with_headers};
 use super::header::ImageHeader;
 use super::intrinsics::{Adjusted, Intrinsics, hold_out, hold_out_note};
 use super::json::{Document, Fields, MAX_JSON_BYTES, quote_non_finite, whole};
@@ -72,11 +72,11 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let has_alpha = frames.iter().any(|(_, h)| h.has_alpha);
     let written: Vec<String> = frames.iter().map(|(f, _)| f.rest.written.clone()).collect();
     let numbered = frames.iter().all(|(f, _)| f.rest.camera.is_some());
-    let drafts = drafts(frames, options, &mut notes)?;
+    let drafts = drafts(frames, numbered, options, &mut notes)?;
     let split = split(&document, &written, options, &mut notes)?;
     let mut drafts = deal(drafts, &split);
     if !numbered {
-        number_cameras(&mut drafts);
+        share_cameras(&mut drafts);
     }
     if drafts.train.is_empty() {
         return Err(DataError::Empty { file });
@@ -119,6 +119,8 @@ struct PartialIntrinsics {
 
 impl PartialIntrinsics {
     fn read(o: &Fields, fisheye: bool) -> Result<Self, DataError> {
+        // What instant-ngp's scripts write beside the model.
+        let fisheye = fisheye || o.flag("is_fisheye")?;
         let n = |key| o.number(key);
         let pair = |a, b| Ok::<_, DataError>([n(a)?, n(b)?]);
         let foreign: &[&'static str] = if fisheye { &["k5", "k6", "p1", "p2"] } else { &["k4", "k5", "k6"] };
@@ -165,7 +167,7 @@ impl PartialIntrinsics {
             principal: first(self.principal, shared.principal),
             size: first(self.size, shared.size),
             lens: first(self.lens, shared.lens),
-            fisheye: shared.fisheye,
+            fisheye: self.fisheye,
         }
     }
 
@@ -231,20 +233,21 @@ fn camera_index(frame: &Fields) -> Result<Option<u32>, DataError> {
 
 fn drafts(
     frames: Vec<(Listed<Frame>, ImageHeader)>,
+    numbered: bool,
     options: &DataOptions,
     notes: &mut Vec<String>,
 ) -> Result<Vec<Draft>, DataError> {
     let shown: Vec<PathBuf> = frames.iter().map(|(f, _)| f.shown.clone()).collect();
     let mut adjusted = Adjusted::default();
     let mut drafts = Vec::with_capacity(frames.len());
-    for (listed, header) in frames {
+    for (k, (listed, header)) in frames.into_iter().enumerate() {
         let frame = listed.rest;
+        let id = frame.camera.filter(|_| numbered).unwrap_or(cast::to_u32(k));
         let intrinsics = frame.stated.complete(&header, &frame.place)?;
         let (camera, fitted) = intrinsics.camera(&header, &listed.path, &frame.pose, &frame.place)?;
         let lens = intrinsics.lens(options.undistort, &frame.place)?;
         adjusted.count(&intrinsics, &camera, fitted, lens.as_ref());
-        let mut view =
-            View::new("", camera, Time::default(), ImageSource::File(listed.path), frame.camera.unwrap_or(0));
+        let mut view = View::new("", camera, Time::default(), ImageSource::File(listed.path), id);
         frame.depth.as_ref().map_or(Ok(()), DepthMap::check)?;
         (view.lens, view.depth) = (lens, frame.depth);
         if let Some(file) = frame.mask {

@@ -34,7 +34,7 @@ impl Drafts {
         self.train.len() + self.val.len() + self.test.len()
     }
 
-    fn all(&self) -> impl Iterator<Item = &Draft> {
+    pub(super) fn all(&self) -> impl Iterator<Item = &Draft> {
         self.train.iter().chain(&self.val).chain(&self.test)
     }
 

@@ -43,7 +43,7 @@ pub struct View {
     pub time: Time,
     /// The ground-truth image: a file, or pixels in memory.
     pub image: ImageSource,
-    /// Number of the physical camera: the one that the data name, else one for all views of the same pose.
+    /// Number of the physical camera, where the data name one or poses repeat; else of the view.
     pub camera_id: u32,
     /// Which pixels count in masked scores, and in the loss with [`Self::mask_loss`] ([`mask`](mod@crate::mask)): one channel, 0 does not count, 255 counts fully. None: all count.
     pub mask: Option<ImageSource>,

@@ -79,7 +79,6 @@ impl RefinedCameras {
 /// If an image cannot be read, the method gives no splats, or another rank fails.
 pub fn place(
     model: &Model,
-    splats: &dyn Fn(&Timestamp, &Camera) -> Result<Splats, MethodError>,
     views: &[View],
     background: [f32; 3],
     images: &ImageCache,
@@ -100,6 +99,7 @@ pub fn place(
     }
     let learnt: Vec<Correction> = (0..cameras.known().len()).map(|row| cameras.correction(row)).collect();
     let seconds = cameras.known().iter().map(|known| known.clock).find(|clock| *clock != 0.0).unwrap_or(0.0);
+    let splats = &|at: &Timestamp, camera: &Camera| model.splats(at, camera);
     let placed = share.each(groups.len(), |group| {
         let members = &groups[group].1;
         let first = members.first().map(|k| views[*k].time);

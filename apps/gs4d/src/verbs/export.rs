@@ -170,7 +170,7 @@ impl Export {
     fn play(self, global: &Global) -> Result<Answer, Failure> {
         if self.format.is_some() || self.bits.is_some() || self.up.is_some() || self.rigid || self.is_of_file() {
             return Err(Failure::usage(
-                ".html and .4dgs files hold a run as its data lie: without --format, --bits, --up and --rigid",
+                ".html and .4dgs files are written of a run, in the axes of its data: without --format, --bits, --up and --rigid",
             ));
         }
         check_free(self.force, "file", "name", [&self.out])?;

@@ -8,8 +8,7 @@ use crate::failure::Failure;
 use crate::global::Global;
 use crate::progress::Progress;
 use gs_core::io::{read_file, write_file};
-use gs_train::evaluate::evaluate_with;
-use gs4d_eval::export::{Baker, ExportError, evaluate_played};
+use gs4d_eval::export::{Baker, ExportError};
 use gs4d_player::Spans;
 use serde_json::json;
 
@@ -34,16 +33,9 @@ impl Player {
         }
         run.share.barrier()?;
         let read = Spans::read(&read_file(&self.out, &global.limits())?).map_err(ExportError::from)?;
-        let measure = |data: &gs_data::Dataset| {
-            let (images, model, split) = (run.images(), &run.loaded.model, self.split.into());
-            let scoring = run.scoring(run.background(), &images);
-            let before = evaluate_with(model, data, split, &scoring)?;
-            let after = evaluate_played(&|time| read.splats(time), model, (data, split), &scoring)?;
-            Ok::<_, Failure>(Loss::of(&before, &after, after.views.len()))
-        };
-        let loss = dataset.as_ref().map(measure).transpose()?;
+        let loss = dataset.map(|data| self.measure(&run, &data, &|time| read.splats(time))).transpose()?;
         let mut text = format!(
-            "{splats} splats at {} times as {} Gaussians that each last for a span of {:.2} s, {:.2} MB, read back whole\n",
+            "{splats} splats at {} times as {} Gaussians, each for a span of time, {:.2} s in all, {:.2} MB, read back whole\n",
             times.len(),
             read.len(),
             read.duration(),

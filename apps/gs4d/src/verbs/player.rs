@@ -8,6 +8,7 @@ use crate::global::Global;
 use crate::opening::RunData;
 use crate::progress::Progress;
 use glam::DVec3;
+use gs_core::Splats;
 use gs_core::io::{read_text, write_file};
 use gs_data::{Dataset, View};
 use gs_train::evaluate::evaluate_with;
@@ -54,7 +55,7 @@ impl Player {
         }
         share.barrier()?;
         let clip = gs4d_player::read(&read_text(&self.out, &global.limits())?).map_err(ExportError::from)?;
-        let loss = dataset.map(|data| self.measure(&run, &data, &clip)).transpose()?;
+        let loss = dataset.map(|data| self.measure(&run, &data, &|time| clip.splats(time))).transpose()?;
         Ok((self.answer(&clip, html.len(), loss.as_ref()), loss))
     }
 
@@ -66,12 +67,18 @@ impl Player {
         times
     }
 
-    fn measure(&self, run: &OpenRun, data: &Dataset, clip: &Clip) -> Result<Loss, Failure> {
+    /// What is lost in PSNR where a file plays these splats at a normalised time.
+    pub(super) fn measure(
+        &self,
+        run: &OpenRun,
+        data: &Dataset,
+        played: &dyn Fn(f32) -> Splats,
+    ) -> Result<Loss, Failure> {
         let (images, model, background) = (run.images(), &run.loaded.model, run.background());
         let split = self.split.into();
         let scoring = run.scoring(background, &images);
         let before = evaluate_with(model, data, split, &scoring)?;
-        let after = evaluate_played(&|time| clip.splats(time), model, (data, split), &scoring)?;
+        let after = evaluate_played(played, model, (data, split), &scoring)?;
         Ok(Loss::of(&before, &after, after.views.len()))
     }
 

@@ -301,7 +301,7 @@ impl Render {
         let view = number.parse::<usize>().ok().and_then(|n| held_out.get(n));
         let view =
             view.ok_or_else(|| Failure::usage(format!("--camera dataset:N: N from 0 to {}", held_out.len() - 1)))?;
-        let View { name, camera, time, .. } = scene.placed().view(view);
+        let View { name, camera, time, .. } = scene.placed().held_out(view);
         Ok(vec![NamedCamera { name, camera, time: Some(time.normalised) }])
     }
 

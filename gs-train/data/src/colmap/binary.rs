@@ -16,7 +16,7 @@ use super::{ImageRow, intrinsics, push_point};
 const MAX_BYTES: u64 = 4 << 30;
 /// Longest file name.
 const MAX_NAME: usize = 4096;
-/// Models by their number, with the number of parameters; those that are not read, for error texts.
+/// Models by their number, with the number of parameters. Some are not read, and are listed for error texts.
 const MODELS: [(&str, usize); 11] = [
     ("SIMPLE_PINHOLE", 3),
     ("PINHOLE", 4),

@@ -52,6 +52,11 @@ fn fisheyes_are_read_and_removed() {
         d
     };
     assert_ne!(d.digest(), other.digest(), "the lens is part of what the data are");
+    // instant-ngp's scripts write a flag.
+    j.as_object_mut().unwrap().remove("camera_model");
+    j["is_fisheye"] = json!(true);
+    f.put("transforms.json", j.to_string());
+    assert_eq!(lenses(&f.open(&DataOptions::default()).unwrap().train), lenses(&d.train));
     j["p1"] = json!(0.01);
     f.put("transforms.json", j.to_string());
     assert!(f.open(&DataOptions::default()).unwrap_err().to_string().contains("with p1 = 0.01"));
