@@ -1,11 +1,11 @@
-//! Time to make a clip of 5000 splats at 30 times, its size, and the error of its images, by tolerance; then the time to write it as a
-//! page, to read it back and to take the splats of a time.
+//! Time to make a clip of 5000 splats at 30 times, and the same as spans, the size of page and file, and the error of their images, by
+//! tolerance; then the time to write a page, to read it back and to take the splats of a time.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use gs_core::Splats;
 use gs_core::speed::{BenchRow, median_seconds};
 use gs_raster::{RasterOptions, Workspace, measure, render};
-use gs4d_player::{Clip, Frames, Page, Start, Tolerance, read};
+use gs4d_player::{Clip, Frames, Page, Spans, Start, Tolerance, read};
 
 const SPLATS: usize = 5000;
 const FRAMES: usize = 30;
@@ -41,23 +41,30 @@ fn clip(c: &mut Criterion) {
     let frames = Frames::new(times.clone(), splats.clone()).expect("a valid scene");
     let cameras = [measure::camera(SIDE)];
     let page = Page { title: "bench".into(), start: Start::default(), background: [0.0; 3], clock: None };
-    for tolerance in [0.025, 0.05, 0.1, 0.2, 0.4] {
-        let fit = || Clip::fit(&frames, &cameras, Tolerance(tolerance));
-        let made = fit();
-        let bytes = page.html(&made).expect("a page").len();
-        let each = times.iter().zip(&splats).map(|(&t, s)| apart(s, &made.splats(t)));
+    let row = |kind: &str, tolerance: f32, bytes: usize, fit: &dyn Fn(), at: &dyn Fn(f32) -> Splats| {
+        let each = times.iter().zip(&splats).map(|(&t, s)| apart(s, &at(t)));
         let row = BenchRow {
             krate: "gs4d-player",
-            case: format!("{FRAMES} times, {} kB", bytes / 1000),
+            case: format!("{FRAMES} times, {kind}, {} kB", bytes / 1000),
             variant: format!("tolerance {tolerance}"),
             n: SPLATS,
             threads: 1,
-            ms: 1e3 * median_seconds(5, || drop(fit())),
+            ms: 1e3 * median_seconds(5, fit),
             work: (SPLATS * FRAMES) as f64,
             error: Some(each.sum::<f64>() / FRAMES as f64),
             error_kind: "image RMS",
         };
         row.append(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
+    };
+    for tolerance in [0.025, 0.05, 0.1, 0.2, 0.4] {
+        let clip = || Clip::fit(&frames, &cameras, Tolerance(tolerance));
+        let made = clip();
+        let bytes = page.html(&made).expect("a page").len();
+        row("page", tolerance, bytes, &|| drop(clip()), &|t| made.splats(t));
+        let spans = || Spans::fit(&frames, &cameras, Tolerance(tolerance), 3.0);
+        let bytes = spans().bytes().expect("a file");
+        let read = Spans::read(&bytes).expect("the same file");
+        row(".4dgs", tolerance, bytes.len(), &|| drop(spans()), &|t| read.splats(t));
     }
     let made = Clip::fit(&frames, &cameras, Tolerance::default());
     let html = page.html(&made).expect("a page");

@@ -2,6 +2,7 @@
 
 use super::eval::SplitName;
 use super::export::Loss;
+use super::player::ascending_times;
 use crate::answer::Answer;
 use crate::failure::Failure;
 use crate::global::Global;
@@ -11,7 +12,7 @@ use gs_core::io::{read_file, write_file};
 use gs_core::rot::Mat3;
 use gs_data::View;
 use gs_train::evaluate::evaluate_with;
-use gs4d_eval::export::{Baker, evaluate_rigid, frame_times};
+use gs4d_eval::export::{Baker, evaluate_rigid};
 use gs4d_run::Kept;
 use serde_json::json;
 use std::path::PathBuf;
@@ -50,9 +51,7 @@ impl Rigid {
         let dataset = if self.no_eval { None } else { Some(run.open_data()?) };
         let (views, kept) = (run.training_views()?, run.kept().unwrap_or_default());
         let turn = turn(&views)?;
-        let mut times = self.times.unwrap_or_else(|| frame_times(&kept.times));
-        times.sort_by(f32::total_cmp);
-        times.dedup();
+        let times = ascending_times(self.times.as_deref(), &kept);
         let first = times.first().copied().unwrap_or(0.0);
         let seconds = played_seconds(&kept);
         let model = &run.loaded.model;

@@ -2,7 +2,7 @@
 
 use super::export::Loss;
 use super::export_rigid::played_seconds;
-use super::player::Player;
+use super::player::{Player, ascending_times};
 use crate::answer::Answer;
 use crate::failure::Failure;
 use crate::global::Global;
@@ -19,7 +19,7 @@ impl Player {
         // Opened first, so that nothing is written if the data are missing.
         let dataset = if self.no_eval { None } else { Some(run.open_data()?) };
         let (views, kept) = (run.training_views()?, run.kept().unwrap_or_default());
-        let (times, seconds) = (self.frame_times(&kept), played_seconds(&kept));
+        let (times, seconds) = (ascending_times(self.times.as_deref(), &kept), played_seconds(&kept));
         let mut progress = Progress::new(times.len() as u64, "times", global.quiet);
         let baker = Baker::new(&run.loaded.model, &views, self.sh_degree);
         let tick = &mut |k| progress.at(k as u64, || "baked".to_owned());

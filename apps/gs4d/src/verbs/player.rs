@@ -39,7 +39,7 @@ impl Player {
         // Opened first, so that nothing is written if the data are missing.
         let dataset = if self.no_eval { None } else { Some(run.open_data()?) };
         let (views, kept, share) = (run.training_views()?, run.kept().unwrap_or_default(), &run.share);
-        let times = self.frame_times(&kept);
+        let times = ascending_times(self.times.as_deref(), &kept);
         let mut progress = Progress::new(times.len() as u64, "times", global.quiet);
         let baker = Baker::new(&run.loaded.model, &views, self.sh_degree);
         let made = baker.clip(&times, self.tolerance, &mut |k| progress.at(k as u64, || "baked".to_owned()))?;
@@ -57,14 +57,6 @@ impl Player {
         let clip = gs4d_player::read(&read_text(&self.out, &global.limits())?).map_err(ExportError::from)?;
         let loss = dataset.map(|data| self.measure(&run, &data, &|time| clip.splats(time))).transpose()?;
         Ok((self.answer(&clip, html.len(), loss.as_ref()), loss))
-    }
-
-    /// The normalised times of its frames, ascending.
-    pub(super) fn frame_times(&self, kept: &Kept) -> Vec<f32> {
-        let mut times = self.times.clone().unwrap_or_else(|| frame_times(&kept.times));
-        times.sort_by(f32::total_cmp);
-        times.dedup();
-        times
     }
 
     /// What is lost in PSNR where a file plays these splats at a normalised time.
@@ -100,6 +92,14 @@ impl Player {
             }),
         )
     }
+}
+
+/// The times asked for, ascending; without any those of training, at most 60.
+pub(super) fn ascending_times(asked: Option<&[f32]>, kept: &Kept) -> Vec<f32> {
+    let mut times = asked.map_or_else(|| frame_times(&kept.times), <[f32]>::to_vec);
+    times.sort_by(f32::total_cmp);
+    times.dedup();
+    times
 }
 
 /// What a view sees, orbiting around the middle of the splats.
