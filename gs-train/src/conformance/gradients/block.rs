@@ -5,16 +5,16 @@ use crate::model::Model;
 use gs_core::{Params, Rng};
 
 /// A block under test, with the values it started from.
-pub struct Block<'a, 'f> {
+pub(super) struct Block<'a, 'f> {
     gradient: &'a BlockGradient,
-    pub start: Vec<f32>,
+    pub(super) start: Vec<f32>,
     method: &'a mut Model,
     functional: &'a mut Functional<'f>,
     seed: u64,
 }
 
 impl<'a, 'f> Block<'a, 'f> {
-    pub fn new(
+    pub(super) fn new(
         method: &'a mut Model,
         gradient: &'a BlockGradient,
         functional: &'a mut Functional<'f>,
@@ -41,7 +41,7 @@ impl<'a, 'f> Block<'a, 'f> {
     }
 
     /// Gives the block the values it started from.
-    pub fn restore(&mut self) {
+    pub(super) fn restore(&mut self) {
         let (name, start) = (&self.gradient.name, &self.start);
         self.method.visit_mut(&mut |p| {
             if p.name == *name {
@@ -58,7 +58,7 @@ impl<'a, 'f> Block<'a, 'f> {
 
     /// σ of the functional for a block with values of size `scale` and a gradient of norm `size`: over the displacements that
     /// its steps will have.
-    pub fn noise(&mut self, scale: f64, size: f64) -> f64 {
+    pub(super) fn noise(&mut self, scale: f64, size: f64) -> f64 {
         let (mut noise, mut displacement) = (0.0, MIN_DISPLACEMENT * scale);
         for _ in 0..ROUNDS {
             noise = self.measure_noise(0.25 * displacement);
@@ -92,7 +92,7 @@ impl<'a, 'f> Block<'a, 'f> {
     }
 
     /// All directions of the block: what they run through, unit vectors, expected derivatives.
-    pub fn directions(&self, rules: &Rules<'_>, norm_of_all: f64) -> Vec<(Kind, Vec<f64>, f64)> {
+    pub(super) fn directions(&self, rules: &Rules<'_>, norm_of_all: f64) -> Vec<(Kind, Vec<f64>, f64)> {
         let grad = &self.gradient.grad;
         let typical = norm_of_all / (grad.len() as f64).sqrt();
         let mut all = Vec::new();
@@ -115,7 +115,7 @@ impl<'a, 'f> Block<'a, 'f> {
     }
 
     /// Measured and predicted slope between two steps along a unit direction.
-    pub fn slopes(&mut self, direction: &[f64], from: f64, to: f64) -> [f64; 2] {
+    pub(super) fn slopes(&mut self, direction: &[f64], from: f64, to: f64) -> [f64; 2] {
         let (high, hi) = self.along(direction, to);
         let (low, lo) = self.along(direction, from);
         let measured = high - low;
@@ -126,12 +126,12 @@ impl<'a, 'f> Block<'a, 'f> {
 }
 
 /// Norm of the values, in f64.
-pub fn norm(values: &[f32]) -> f64 {
+pub(super) fn norm(values: &[f32]) -> f64 {
     values.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt()
 }
 
 /// Over how many values a unit direction is spread.
-pub fn spread(direction: &[f64]) -> f64 {
+pub(super) fn spread(direction: &[f64]) -> f64 {
     1.0 / direction.iter().map(|d| d.powi(4)).sum::<f64>()
 }
 
