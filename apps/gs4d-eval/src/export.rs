@@ -10,7 +10,7 @@ mod player;
 mod rigid;
 
 pub use player::{evaluate_played, frame_times};
-pub use rigid::{RigidScene, evaluate_rigid};
+pub use rigid::RigidScene;
 
 use crate::segment::SegmentError;
 use fit::Fit;

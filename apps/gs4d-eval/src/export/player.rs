@@ -114,13 +114,12 @@ fn paths(frames: &Frames) -> (Vec<[u8; 3]>, f32) {
 /// # Errors
 /// Those of the evaluation.
 pub fn evaluate_played(
-    played: &dyn Fn(f32) -> Splats,
+    played: &dyn Fn(f32) -> Result<Splats, MethodError>,
     method: &Model,
     (dataset, split): (&Dataset, Split),
     scoring: &Scoring<'_>,
 ) -> Result<EvalReport, EvalError> {
-    let splats = |at: &Timestamp, _: &Camera| -> Result<Splats, MethodError> { Ok(played(at.t.normalised)) };
-    evaluate_splats(method, &splats, dataset, split, scoring)
+    evaluate_splats(method, &|at: &Timestamp, _: &Camera| played(at.t.normalised), dataset, split, scoring)
 }
 
 #[cfg(test)]

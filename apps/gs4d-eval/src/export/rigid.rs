@@ -8,12 +8,9 @@ use glam::{DMat3, DQuat, DVec3};
 use gs_core::io::RawSplats;
 use gs_core::io::glb::{GlbScene, RigidMotion, RigidPart};
 use gs_core::rot;
-use gs_core::{Camera, Splats, cast};
-use gs_data::{Dataset, Split};
+use gs_core::{Splats, cast};
 use gs_physics::kabsch::kabsch;
-use gs_train::evaluate::{EvalError, EvalReport, Scoring, evaluate_splats};
 use gs_train::method::MethodError;
-use gs_train::model::Model;
 use gs_train::timestamp::Timestamp;
 
 /// A motion that takes no splat of its part farther than this share of the extent of the scene is none.
@@ -74,6 +71,16 @@ impl Baker<'_> {
         Ok(scene)
     }
 
+    /// The splats of a file of rigid parts at a normalised time, in the axes of the data; `seconds` and `first`, the time of the first key
+    /// frame, are those of [`Self::rigid`].
+    ///
+    /// # Errors
+    /// If a splat of the file is not valid.
+    pub fn rigid_splats(&self, scene: &GlbScene, seconds: f64, first: f32, time: f32) -> Result<Splats, MethodError> {
+        let raw = scene.at(cast::to_f32(f64::from(time - first) * seconds));
+        self.turned_back(raw).to_splats().map_err(|e| MethodError::Render(e.to_string()))
+    }
+
     /// A part of the file, turned if files are; at rest without a clock.
     fn part(&self, splats: RawSplats, fitted: Fitted, clock: &[f32]) -> RigidPart {
         let turn = self.turn.map(|rows| DMat3::from_cols_array_2d(&rows).transpose());
@@ -132,22 +139,4 @@ fn extent(splats: &Splats) -> f64 {
     let low = splats.means.iter().copied().reduce(glam::Vec3::min).unwrap_or_default();
     let high = splats.means.iter().copied().reduce(glam::Vec3::max).unwrap_or_default();
     f64::from(low.distance(high))
-}
-
-/// Scores of a file of rigid parts on a split, as the method itself is scored; `seconds` and `first` are those of [`Baker::rigid`].
-///
-/// # Errors
-/// Those of the evaluation.
-pub fn evaluate_rigid(
-    (baker, scene): (&Baker<'_>, &GlbScene),
-    (seconds, first): (f64, f32),
-    method: &Model,
-    (dataset, split): (&Dataset, Split),
-    scoring: &Scoring<'_>,
-) -> Result<EvalReport, EvalError> {
-    let splats = |at: &Timestamp, _: &Camera| -> Result<Splats, MethodError> {
-        let raw = scene.at(cast::to_f32(f64::from(at.t.normalised - first) * seconds));
-        baker.turned_back(raw).to_splats().map_err(|e| MethodError::Render(e.to_string()))
-    };
-    evaluate_splats(method, &splats, dataset, split, scoring)
 }

@@ -1,9 +1,15 @@
 //! `gs4d export`: a trained scene, or a splat file, as files of plain splats.
 
+mod loss;
+mod motion;
+mod page;
+mod rigid;
+mod spans;
+
+use self::loss::{Loss, verdict};
+use self::motion::Motion;
 use super::compact::{BitsName, Compact};
 use super::eval::SplitName;
-use super::export_rigid::Rigid;
-use super::player::Player;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
@@ -15,13 +21,13 @@ use glam::DVec3;
 use gs_core::io::{RawSplats, SplatFormat, load_splats, save_splats, upright, write_file};
 use gs_core::rot::Mat3;
 use gs_data::{Dataset, ImageCache};
-use gs_train::evaluate::{EvalReport, evaluate_with};
+use gs_train::evaluate::evaluate_with;
 use gs_train::timestamp::Timestamp;
 use gs4d_eval::export::{AsExported, Baker, ExportError, cut, mean_up};
 use gs4d_player::Tolerance;
 use gs4d_run::OpenRun;
 use serde_json::{Value, json};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Write a trained scene at one or many times as .ply, .splat, .spz or .glb, in motion as .4dgs, whole as .gs4d, or as a page that plays it
 /// (.html), and report the loss in PSNR
@@ -173,14 +179,12 @@ impl Export {
                 ".html and .4dgs files are written of a run, in the axes of its data: without --format, --bits, --up and --rigid",
             ));
         }
-        check_free(self.force, "file", "name", [&self.out])?;
-        let spans = self.is_named("4dgs");
-        let Self { scene: run, out, times, tolerance, sh_degree, split, no_eval, force, place, max_error, .. } = self;
-        let tolerance = tolerance.map_or_else(Tolerance::default, Tolerance);
-        let times = times.map(|t| t.0);
-        let player = Player { run, out: out.clone(), times, tolerance, sh_degree, split, no_eval, force, place };
-        let (answer, loss) = if spans { player.run_spans(global) } else { player.run(global) }?;
-        verdict(max_error, loss.as_ref(), &out, "a smaller --tolerance, a higher --sh-degree, more --times")?;
+        let tolerance = self.tolerance.map_or_else(Tolerance::default, Tolerance);
+        let (spans, max_error) = (self.is_named("4dgs"), self.max_error);
+        let motion = self.motion()?;
+        let (answer, loss) =
+            if spans { spans::run(&motion, tolerance, global) } else { page::run(&motion, tolerance, global) }?;
+        verdict(max_error, loss.as_ref(), &motion.out, "a smaller --tolerance, a higher --sh-degree, more --times")?;
         Ok(answer)
     }
 
@@ -195,14 +199,19 @@ impl Export {
             let of = Failure::usage("--rigid writes one .glb file of a run: without --format, --tolerance and --bits");
             return Err(of.remedy("give a run and -o NAME.glb"));
         }
-        check_free(self.force, "file", "name", [&self.out])?;
-        let Self { scene: run, out, times, sh_degree, split, no_eval, force, place, max_error, up, .. } = self;
-        let times = times.map(|t| t.0);
-        let rigid = Rigid { run, out: out.clone(), times, sh_degree, split, no_eval, force, place };
+        let (up, max_error) = (self.up, self.max_error);
+        let motion = self.motion()?;
         let turn = |views: &[gs_data::View]| up.map(|up| up.turn(|| mean_up(views))).transpose();
-        let (answer, loss) = rigid.run(turn, global)?;
-        verdict(max_error, loss.as_ref(), &out, "-o NAME.html, which keeps every motion")?;
+        let (answer, loss) = rigid::run(&motion, turn, global)?;
+        verdict(max_error, loss.as_ref(), &motion.out, "-o NAME.html, which keeps every motion")?;
         Ok(answer)
+    }
+
+    /// What every file in motion is made from; fails if the file exists.
+    fn motion(self) -> Result<Motion, Failure> {
+        check_free(self.force, "file", "name", [&self.out])?;
+        let Self { scene: run, out, times, sh_degree, split, no_eval, force, place, .. } = self;
+        Ok(Motion { run, out, times: times.map(|t| t.0), sh_degree, split, no_eval, force, place })
     }
 
     fn whole(self, global: &Global) -> Result<Answer, Failure> {
@@ -353,22 +362,6 @@ impl Export {
     }
 }
 
-/// Fails if the files lost more than is allowed.
-fn verdict(max_error: Option<f64>, loss: Option<&Loss>, out: &Path, try_this: &str) -> Result<(), Failure> {
-    let (Some(bound), Some(lost)) = (max_error, loss.and_then(Loss::mean)) else { return Ok(()) };
-    if lost <= bound {
-        return Ok(());
-    }
-    Err(Failure::new(
-        Class::Verification,
-        "export.loss",
-        format!("the files lose {lost:.3} dB, --max-error allows {bound}"),
-    )
-    .place(out.display())
-    .why("the files are written and valid, but not as accurate as asked for")
-    .remedy(format!("try {try_this}")))
-}
-
 /// The nearest Gaussians to splats with another kernel profile.
 fn with_plain_kernel(raw: &RawSplats) -> Result<RawSplats, ExportError> {
     let plain = raw.to_splats().and_then(|s| RawSplats::from_splats(&s.with_plain_kernel()));
@@ -377,65 +370,6 @@ fn with_plain_kernel(raw: &RawSplats) -> Result<RawSplats, ExportError> {
 
 /// Table of times and files in an output folder.
 const TABLE: &str = "times.json";
-
-/// PSNR before and after export.
-pub struct Loss {
-    before: Option<f64>,
-    after: Option<f64>,
-    /// Largest loss of a view, dB, and its time.
-    worst: Option<(f64, f32)>,
-    split: String,
-    views: usize,
-    /// Views rendered from the written files; the others were baked at times of their own.
-    read: usize,
-}
-
-impl Loss {
-    pub(super) fn of(before: &EvalReport, after: &EvalReport, read: usize) -> Self {
-        let pairs = before.views.iter().zip(&after.views);
-        let losses = pairs.filter_map(|(b, a)| Some((b.psnr? - a.psnr?, b.time)));
-        Self {
-            before: before.mean.psnr,
-            after: after.mean.psnr,
-            worst: losses.reduce(|a, b| if b.0 > a.0 { b } else { a }),
-            split: before.split.clone(),
-            views: before.views.len(),
-            read,
-        }
-    }
-
-    /// Loss of the mean PSNR, dB; `None` if either is perfect.
-    fn mean(&self) -> Option<f64> {
-        Some(self.before? - self.after?)
-    }
-
-    fn to_text(&self) -> String {
-        self.line(&match self.read {
-            n if n == self.views => "from the files, the nearest in time".to_owned(),
-            n => format!("{n} from the files, {} baked at times that no file has", self.views - n),
-        })
-    }
-
-    /// The line for people, with where the renders came from.
-    pub(super) fn line(&self, from: &str) -> String {
-        let (Some(before), Some(after), Some(lost)) = (self.before, self.after, self.mean()) else {
-            return "psnr: every view is perfect\n".to_owned();
-        };
-        let worst = self.worst.map_or(String::new(), |(db, t)| format!(", worst {db:.3} dB at t = {t:.3}"));
-        format!(
-            "psnr over {} {} views ({from}): {before:.3} dB as trained, {after:.3} dB as written (mean loss {lost:.3} dB{worst})\n",
-            self.views, self.split
-        )
-    }
-
-    pub(super) fn to_json(&self) -> Value {
-        let worst = self.worst.map(|(db, time)| json!({"loss": db, "time": time}));
-        json!({
-            "before": self.before, "after": self.after, "loss": self.mean(), "worst": worst,
-            "split": self.split, "views": self.views, "from_files": self.read,
-        })
-    }
-}
 
 impl From<ExportError> for Failure {
     fn from(e: ExportError) -> Self {
