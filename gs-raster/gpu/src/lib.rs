@@ -44,7 +44,7 @@
 //! All kernels keep to WebGPU's default limits: 8 storage buffers, 16 KiB of workgroup memory, 256 threads.
 //!
 //! # What it leaves out
-//! Gradients of cameras, more than three channels, and what [`gs_raster`] leaves out. A frame with more (tile, splat) pairs
+//! More than three channels, and what [`gs_raster`] leaves out. A frame with more (tile, splat) pairs
 //! than one buffer holds is refused: 2.8 million with the limits of a browser, 40 million and more with those of a graphics
 //! card. Splats wider than about 10⁹ pixels are not drawn.
 

@@ -35,7 +35,7 @@
 //! is `f64`. The result is a function of the options alone, bit for bit, for any number of threads.
 //!
 //! # What it leaves out
-//! Shadows, reflections, textures from files, moving cameras with continuous paths; fluids and contact between bodies.
+//! Shadows and textures from files but of filmed people ([`avatar`]), reflections, moving cameras with continuous paths; fluids and contact between bodies.
 #![warn(unreachable_pub)]
 #![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 

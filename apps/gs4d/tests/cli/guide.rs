@@ -156,6 +156,16 @@ fn commands_about_reports() {
 }
 
 #[test]
+fn commands_about_the_page() {
+    chapter("player.md");
+}
+
+#[test]
+fn commands_about_axes() {
+    chapter("axes.md");
+}
+
+#[test]
 fn commands_about_tables() {
     chapter("tables.md");
 }

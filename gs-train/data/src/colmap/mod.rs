@@ -2,8 +2,8 @@
 //!
 //! `cameras`, `images` and `points3D` lie in `sparse/0`, `sparse`, `colmap/sparse/0` or the folder itself. Poses are world
 //! to camera as quaternion `(w, x, y, z)` and translation with OpenCV axes, pixel centres at +½. Models
-//! SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL and OPENCV are read, others refused by name. A model has no
-//! times: it is static unless `data.time_from` says otherwise. Renumbered images are paired in order of number
+//! SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, SIMPLE_RADIAL_FISHEYE, RADIAL_FISHEYE and OPENCV_FISHEYE are
+//! read, others refused by name. A model has no times: it is static unless `data.time_from` says otherwise. Renumbered images are paired in order of number
 //! (`numbered.rs`), with a note.
 
 use std::collections::BTreeMap;
