@@ -26,6 +26,7 @@ mod region;
 mod terms;
 
 pub(crate) use exposure::Exposures;
+use exposure::Mapped;
 pub use exposure::{ExposureConfig, ExposureFit};
 pub use region::Region;
 pub use terms::{Dssim, LossTerm, SpectrumTerm, TermValue, TextureTerm};
@@ -102,7 +103,7 @@ pub struct ImageLoss {
     depth: f32,
     terms: Vec<WeightedTerm>,
     ground_truth: Image,
-    mapped: Image,
+    mapped: Mapped,
 }
 
 struct WeightedTerm {
@@ -161,7 +162,7 @@ impl ImageLoss {
         }
         let mut mapped = std::mem::take(&mut self.mapped);
         let fitted = truth.exposure.map(|e| e.apply(rendered, &target, mask, &mut mapped)).transpose()?;
-        let shown = if fitted.is_some() { &mapped } else { rendered };
+        let shown = if fitted.is_some() { &mapped.colors } else { rendered };
         if let Some(mask) = mask {
             mask::keep_outside(mask, shown, &mut target);
         }
@@ -169,7 +170,7 @@ impl ImageLoss {
         self.ground_truth = target;
         let mut values = values?;
         if let Some(ExposureFit { map, .. }) = truth.exposure {
-            map.pull_back(&mut grad.rgb);
+            mapped.pull_back(&map, &mut grad.rgb);
             values.terms.push(("exposure".into(), map.strength()));
         }
         values.color_map = fitted;

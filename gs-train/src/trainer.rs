@@ -143,7 +143,7 @@ impl Trainer {
                        their numbers: `camera_index` in nerfstudio's layout; D-NeRF's has none); set it false";
             return Err(MethodError::Config { method: model.name(), why: why.into() }.into());
         }
-        let images = Arc::new(ImageCache::new(options.image_bytes, 1.0));
+        let images = Arc::new(image_cache(&dataset, &options, 1.0));
         let order = ViewOrder::new(options.seed, dataset.train.iter().map(|v| v.time.normalised).collect());
         let (adam, pass, config, updates) = (
             Adam::new(model.schedule().adam()),
@@ -306,7 +306,7 @@ impl Trainer {
     fn begin_step(&mut self, step: u32) {
         let scale = self.schedule().stage(step).map_or(1.0, |s| s.image_scale);
         if scale != self.images.scale() {
-            self.images = Arc::new(ImageCache::new(self.options.image_bytes, scale));
+            self.images = Arc::new(image_cache(&self.dataset, &self.options, scale));
         }
         if self.schedule().position(step).fresh {
             self.model.visit_mut(&mut Param::clear_moments);
@@ -374,6 +374,11 @@ impl Trainer {
     fn too_many(&self, rows: u32, of: usize) -> bool {
         f64::from(rows) > f64::from(self.schedule().max_quarantine) * of as f64
     }
+}
+
+/// A cache of the images of a run at a scale, within its own limit and that of its data.
+fn image_cache(dataset: &Dataset, options: &TrainOptions, scale: f64) -> ImageCache {
+    ImageCache::new(options.image_bytes, scale).with_max_image_mib(dataset.max_image_mib)
 }
 
 /// Refuses, before the first step, images the loss is not defined for and stages in which nothing would learn.

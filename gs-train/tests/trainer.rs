@@ -1,8 +1,9 @@
 //! The trainer through its public interface, with a method whose gradients are chosen here: gradients that are not finite,
 //! batches, and what is refused before the first step.
 
-use gs_core::{Camera, Param, Params, Splats};
-use gs_data::Dataset;
+use gs_core::io::images::save_png;
+use gs_core::{Camera, Image, Param, Params, Splats};
+use gs_data::{Dataset, ImageSource};
 use gs_synth::SynthOptions;
 use gs_train::method::{Buffers, LossValue, Method, MethodError, RenderView, ViewCtx};
 use gs_train::model::Model;
@@ -10,7 +11,7 @@ use gs_train::registry::section;
 use gs_train::scene::SceneInfo;
 use gs_train::step::StepCtx;
 use gs_train::timestamp::Timestamp;
-use gs_train::trainer::{TrainOptions, Trainer};
+use gs_train::trainer::{TrainError, TrainOptions, Trainer};
 use std::sync::Arc;
 
 /// Two blocks whose gradients are the same in every step.
@@ -146,6 +147,33 @@ fn a_batch_is_the_mean_of_its_views() {
     assert!(both_sums.iter().any(|s| *s > 0.0));
     for (i, (a, b)) in both_sums.iter().zip(&single_sums).enumerate() {
         assert!((a - b).abs() <= 1e-5 * b.abs(), "statistics of densification are of whole losses: {i}");
+    }
+}
+
+/// At full size as at the reduced size of a stage.
+#[test]
+fn images_are_decoded_within_the_limit_of_the_data() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let file = folder.path().join("large.png");
+    save_png(&file, &Image::zeros(640, 640, 3), false).expect("a file");
+    let mut large = Dataset::clone(&data(16, 2));
+    for view in &mut large.train {
+        (view.camera, view.image) = (view.camera.scaled(40.0), ImageSource::File(file.clone()));
+    }
+    for scale in [1.0, 0.5] {
+        let mut config = tiny("static3d");
+        config["init"].as_table_mut().expect("init").insert("from".into(), "random".into());
+        for (_, stage) in config["schedule"]["stages"].as_table_mut().expect("stages").iter_mut() {
+            stage.as_table_mut().expect("stage").insert("image_scale".into(), scale.into());
+        }
+        let step = |max_image_mib| {
+            let dataset = Arc::new(Dataset { max_image_mib, ..large.clone() });
+            let options = TrainOptions::default();
+            let trainer = Trainer::new(gs_methods::registry(), dataset, "static3d", &config, options);
+            trainer.expect("trainer").step().err()
+        };
+        assert!(matches!(step(Some(1)), Some(TrainError::Data(e)) if e.code() == "limits.file"), "{scale}");
+        assert!(step(None).is_none() && step(Some(8)).is_none(), "{scale}");
     }
 }
 

@@ -174,9 +174,12 @@ pub struct AsExported<'a> {
     baker: Baker<'a>,
     format: SplatFormat,
     files: Vec<(f32, PathBuf)>,
+    /// Splats of the times that were asked for, as bits; at most [`MAX_CACHED`] splats.
     cache: Mutex<HashMap<u32, Splats>>,
 }
 
+/// Splats that are kept to be shown again: a gigabyte with harmonics of degree 3.
+const MAX_CACHED: usize = 4_000_000;
 /// Times that differ by no more are the same, normalised.
 const SAME_TIME: f32 = 1e-5;
 
@@ -217,6 +220,9 @@ impl<'a> AsExported<'a> {
         };
         let splats = self.baker.turned_back(splats).to_splats();
         let splats = splats.map_err(|source| ExportError::Splats { time: at.t.normalised, source })?;
+        if cache.values().map(Splats::len).sum::<usize>() + splats.len() > MAX_CACHED {
+            cache.clear();
+        }
         cache.insert(key, splats.clone());
         Ok(splats)
     }

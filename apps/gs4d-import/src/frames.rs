@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 pub(crate) const IMAGES: &str = "images";
 pub(crate) const MASKS: &str = "masks";
 /// Image files that are read.
-const EXTENSIONS: [&str; 3] = ["jpg", "jpeg", "png"];
+pub(crate) const EXTENSIONS: [&str; 3] = ["jpg", "jpeg", "png"];
 
 /// The name of a camera, from 0.
 pub(crate) fn camera_name(camera: usize) -> String {
@@ -144,9 +144,11 @@ pub(crate) fn copy(
     work: &Path,
     camera: usize,
 ) -> Result<(), ImportError> {
+    // A stem may have dots.
     let mask_of = |file: &PathBuf| {
-        let masks = masks?;
-        Some(masks.join(file.file_stem()?).with_extension("png"))
+        let mut name = file.file_stem()?.to_os_string();
+        name.push(".png");
+        Some(masks?.join(name))
     };
     for (parent, is_mask) in [(IMAGES, false), (MASKS, true)] {
         if is_mask && masks.is_none() {
@@ -166,6 +168,41 @@ pub(crate) fn copy(
         disk::rename(&part, &place).map_err(ImportError::os("name the folder of images", &place))?;
     }
     Ok(())
+}
+
+/// The number of a frame, where a file is named as one: `00012.jpg`.
+pub(crate) fn number(file: &Path) -> Option<usize> {
+    let stem = file.file_stem()?.to_str()?;
+    stem.parse().ok().filter(|k: &usize| format!("{k:05}") == stem)
+}
+
+/// The frames of a camera that were taken, in order.
+///
+/// # Errors
+/// [`ImportError::Input`] if one is missing, or something else lies between them.
+pub(crate) fn taken(folder: &Path, count: usize) -> Result<Vec<PathBuf>, ImportError> {
+    let mut files = if folder.is_dir() { list(folder)? } else { Vec::new() };
+    let at = |k: usize| files.get(k).and_then(|f| number(f));
+    let Some(k) = (0..count).find(|&k| at(k) != Some(k)) else {
+        files.truncate(count);
+        return Ok(files);
+    };
+    let why = "frame k is image k of its camera";
+    let other = files.get(k).filter(|_| files.iter().any(|f| number(f) == Some(k)));
+    Err(match other {
+        Some(other) => ImportError::Input {
+            what: "an image that is no frame lies between the frames".to_owned(),
+            path: other.clone(),
+            why,
+            fix: "move it away".to_owned(),
+        },
+        None => ImportError::Input {
+            what: format!("of {count} frames the image {k:05} is missing"),
+            path: folder.to_path_buf(),
+            why,
+            fix: "put it back, or start over with -f".to_owned(),
+        },
+    })
 }
 
 /// Images of a folder, in order of names, numbers by their value.
@@ -253,6 +290,47 @@ mod tests {
         assert!(dir.path().join("images/cam01/00001.jpg").is_file());
         touch("own.png");
         assert_eq!(cameras_of(dir.path()).unwrap().len(), 1);
+    }
+
+    #[test]
+    fn a_mask_has_the_whole_stem_of_its_image() {
+        let dir = tempfile::tempdir().unwrap();
+        let [images, masks] = ["pictures", "white"].map(|name| dir.path().join(name));
+        [&images, &masks].iter().for_each(|folder| fs::create_dir(folder).unwrap());
+        let shots = ["shot.0001.png", "shot.0002.jpg"].map(|name| images.join(name));
+        shots.iter().for_each(|file| fs::write(file, "x").unwrap());
+        for stem in ["shot.0001", "shot.0002"] {
+            fs::write(masks.join(format!("{stem}.png")), stem).unwrap();
+        }
+        copy(&shots, Some(&masks), dir.path(), &dir.path().join("work"), 0).unwrap();
+        let read = |k: usize| fs::read_to_string(dir.path().join(format!("masks/cam00/{k:05}.png"))).unwrap();
+        assert_eq!([read(0), read(1)], ["shot.0001", "shot.0002"]);
+    }
+
+    #[test]
+    fn a_frame_that_is_missing_is_named() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = dir.path().join("cam00");
+        let wrong = |word: &str| {
+            let e = taken(&folder, 3).unwrap_err();
+            assert!(matches!(&e, ImportError::Input { .. }) && e.to_string().contains(word), "{e}");
+        };
+        wrong("00000 is missing");
+        fs::create_dir(&folder).unwrap();
+        for name in ["00000.jpg", "00001.jpg", "00002.jpg", "00003.jpg", "mine.jpg"] {
+            fs::write(folder.join(name), "x").unwrap();
+        }
+        let files = taken(&folder, 3).unwrap();
+        assert!(files.len() == 3 && files[2].ends_with("00002.jpg"), "{files:?}");
+        // Where another image follows, and where none does.
+        fs::rename(folder.join("00001.jpg"), folder.join("1.jpg")).unwrap();
+        wrong("00001 is missing");
+        fs::rename(folder.join("1.jpg"), folder.join("00001.jpg")).unwrap();
+        fs::write(folder.join("00001.png"), "x").unwrap();
+        wrong("no frame");
+        [2, 3].iter().for_each(|k| fs::remove_file(folder.join(format!("0000{k}.jpg"))).unwrap());
+        fs::remove_file(folder.join("00001.png")).unwrap();
+        wrong("00002 is missing");
     }
 
     /// Frame `k` of the video has the grey level `8 k`.

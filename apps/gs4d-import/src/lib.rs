@@ -115,8 +115,8 @@ pub struct Imported {
 }
 
 /// Imports a source into the folder `data`, which must be new, empty, or an unfinished import of the same source with the same
-/// settings; with `force` also an import of something else, whose files are removed first. `threads` bounds those of COLMAP. Setting `stop`
-/// ends the child process and returns [`ImportError::Stopped`]; the next call goes on.
+/// settings; with `force` also an import of something else, whose files are removed first, unless those of somebody else lie between them.
+/// `threads` bounds those of COLMAP. Setting `stop` ends the child process and returns [`ImportError::Stopped`]; the next call goes on.
 ///
 /// # Errors
 /// See [`ImportError`]. What was done is kept.
@@ -180,11 +180,9 @@ impl Job<'_> {
         self.state.save(self.data)
     }
 
-    /// Image files of a camera, in order.
+    /// Image files of a camera, in order: all that were taken.
     fn files(&self, camera: usize) -> Result<Vec<PathBuf>, ImportError> {
-        let mut files = frames::list(&self.data.join(frames::IMAGES).join(camera_name(camera)))?;
-        files.truncate(self.state.frames[camera]);
-        Ok(files)
+        frames::taken(&self.data.join(frames::IMAGES).join(camera_name(camera)), self.state.frames[camera])
     }
 
     /// Finds blurred and duplicate frames: those of a moving camera, and moments that all cameras of a rig saw twice.

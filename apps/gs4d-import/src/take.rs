@@ -1,7 +1,7 @@
 //! Frames of all cameras: what the cameras do, how their clocks differ, which frames are taken, and taking them.
 
 use crate::error::ImportError;
-use crate::frames::{self, Extraction, camera_name, scaled};
+use crate::frames::{self, Extraction, scaled};
 use crate::look::{self, Rig};
 use crate::probe::probe;
 use crate::program::{FFMPEG, FFPROBE};
@@ -148,8 +148,7 @@ impl Job<'_> {
                     _ => file.clone(),
                 };
                 // A folder that an interruption left complete, but not written down.
-                let parent = if is_mask { frames::MASKS } else { frames::IMAGES };
-                frames::clear(&self.data.join(parent).join(camera_name(camera)))?;
+                self.state.clear_next(self.data, is_mask)?;
                 let what = format!("frames of {}", path.display());
                 let tell = &mut *self.tell;
                 let mut each = |done| tell(Event::Progress { what: &what, done, of: Some(cut.frames) });
@@ -195,8 +194,8 @@ impl Job<'_> {
         }
         for camera in self.state.frames.len()..self.sources.len() {
             let (path, files) = self.sources[camera].clone();
-            for parent in [frames::IMAGES, frames::MASKS] {
-                frames::clear(&self.data.join(parent).join(camera_name(camera)))?;
+            for is_mask in [false, true] {
+                self.state.clear_next(self.data, is_mask)?;
             }
             let own = settings.masks.as_ref().map(|m| match self.sources.len() {
                 1 => m.clone(),

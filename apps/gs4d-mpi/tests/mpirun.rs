@@ -141,6 +141,19 @@ fn renders_scores_and_files_of_three_ranks_are_those_of_one() {
         assert!(!again.status.success() && error.contains("exist"), "{error}");
         [&one, &out].iter().for_each(|folder| std::fs::remove_dir_all(folder).unwrap());
     }
+    let whole = words("export RUN -o OUT.gs4d --json");
+    let compact = |ranks: usize| {
+        let output = run_on(ranks, &whole);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let again = run_on(ranks, &whole);
+        let error = String::from_utf8_lossy(&again.stderr);
+        assert!(!again.status.success() && error.contains("exists already"), "{error}");
+        let file = out.with_extension("gs4d");
+        let bytes = std::fs::read(&file).unwrap();
+        std::fs::remove_file(&file).unwrap();
+        (output.stdout, bytes)
+    };
+    assert!(compact(1) == compact(3), "export of a run whole");
     let eval = words("eval RUN --json");
     let answer = |ranks: usize| run_on(ranks, &eval).stdout;
     let one = (answer(1), std::fs::read(run.join("metrics.json")).unwrap());

@@ -34,7 +34,7 @@
 //!
 //! # The error bound
 //! [`Tolerance`] is a share of the standard deviation that a splat has in the image of the nearest camera, the pixel's own included:
-//! no mean is displaced by more, no scale is wrong by a larger factor, no rotation turns its ends by more. What this costs in PSNR is
+//! no coordinate of a mean is off by more, no scale is wrong by a larger factor, no rotation turns its ends by more. What this costs in PSNR is
 //! measured by rendering [`Clip::splats`] of the file as it was read back.
 //!
 //! # What it leaves out

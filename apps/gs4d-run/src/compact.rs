@@ -15,6 +15,7 @@
 
 use crate::RunError;
 use crate::kept::Kept;
+use gs_core::{Param, Params};
 use gs_train::checkpoint::{Checkpoint, CheckpointError, Coding, Encoding};
 use gs_train::model::Model;
 use gs_train::saved::{self, Loaded, RunState};
@@ -31,6 +32,8 @@ pub const SETTINGS: &str = "settings";
 pub const DATA: &str = "data";
 /// Key of the cameras that are kept in `meta` of files without [`DATA`], as camera JSON.
 pub const CAMERAS: &str = "cameras";
+/// Beginning of the names of blocks of cameras' corrections.
+const CORRECTIONS: &str = "cameras.";
 /// Largest number of values of a block that is stored as `f32` in any case.
 pub const SMALL: usize = 64;
 /// Number of values of a shared block that have a quantisation range in common.
@@ -127,11 +130,13 @@ impl CompactScene {
     fn of_blocks(method: &Model, config: &toml::Table) -> Self {
         let on_lattice = method.capabilities().bake.and_then(|b| b.quantization_step());
         let mut tensors = Vec::new();
-        method.visit(&mut |p| {
+        let mut push = |p: &Param, exact: bool| {
             let (name, values) = (p.name.clone(), p.value.clone());
             let lattice = on_lattice.filter(|(block, _)| *block == name).map(|(_, step)| step);
-            tensors.push(CompactTensor { name, row_width: p.row_width, values, exact: false, lattice });
-        });
+            tensors.push(CompactTensor { name, row_width: p.row_width, values, exact, lattice });
+        };
+        // Those of the method, and corrections of cameras, which are few and smaller than a step of 8 bits.
+        Params::visit(method, &mut |p| push(p, p.name.starts_with(CORRECTIONS)));
         method.buffers(&mut |buffer| {
             if buffer.row_width.is_none() {
                 let (name, values) = (buffer.name.to_owned(), buffer.values.clone());

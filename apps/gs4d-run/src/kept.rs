@@ -69,6 +69,11 @@ impl Kept {
         }
     }
 
+    /// The seconds at normalised times 0 and 1: those of the data's own time where it leaves 0..1, and so is in seconds.
+    pub fn seconds(&self) -> Option<[f64; 2]> {
+        self.clock.filter(|[start, end]| *start < 0.0 || *end > 1.0)
+    }
+
     /// As JSON: `train` and `held_out` as camera lists, `times`, `clock`, `splits`.
     pub(crate) fn to_json(&self) -> Result<Value, RunError> {
         let Self { times, clock, splits, .. } = self.clone();
@@ -166,6 +171,8 @@ mod tests {
         assert_eq!(back.held_out.len(), data.test.len().min(MAX_CAMERAS));
         assert_eq!((&back.times, back.clock, back.splits), (&kept.times, kept.clock, kept.splits));
         assert_eq!(back.times.len(), 40);
+        let of = |clock| Kept { clock, ..Kept::default() }.seconds();
+        assert_eq!([of(None), of(Some([0.0, 0.99])), of(Some([2.0, 5.0]))], [None, None, Some([2.0, 5.0])]);
     }
 
     #[test]

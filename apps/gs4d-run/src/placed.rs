@@ -12,7 +12,8 @@ use std::collections::BTreeMap;
 #[derive(Clone, Debug, Default)]
 pub struct Placed {
     learnt: Cameras,
-    scored: BTreeMap<String, Correction>,
+    /// By name and normalised time as the data give them: views of two splits may have one name.
+    scored: BTreeMap<(String, u32), Correction>,
 }
 
 impl OpenRun {
@@ -26,7 +27,7 @@ impl OpenRun {
         let report = report();
         let future = report.iter().filter_map(|report| report.extrapolate.as_deref());
         let views = report.iter().chain(future).flat_map(|report| &report.views);
-        let scored = views.filter_map(|view| Some((view.name.clone(), view.camera?))).collect();
+        let scored = views.filter_map(|view| Some(((view.name.clone(), view.time.to_bits()), view.camera?))).collect();
         Placed { learnt, scored }
     }
 }
@@ -40,7 +41,8 @@ impl Placed {
 
     /// The same of a held-out view, whose camera may have been placed when it was scored.
     pub fn held_out(&self, view: &View) -> View {
-        let known = self.learnt.of(view).or_else(|| self.scored.get(&view.name).copied());
+        let key = (view.name.clone(), view.time.normalised.to_bits());
+        let known = self.learnt.of(view).or_else(|| self.scored.get(&key).copied());
         known.map_or_else(|| view.clone(), |correction| correction.corrected(view))
     }
 }

@@ -7,14 +7,18 @@
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::net::SocketAddr;
 
+/// The port of HTTP, which browsers leave out of `Host` and `Origin`.
+const HTTP: u16 = 80;
+
 /// Token and host names that requests are checked against.
 #[derive(Clone, Debug)]
 pub(crate) struct Guard {
     token: String,
     /// Accepted `host:port` values.
     names: Vec<String>,
-    /// Port of a server that listens on all interfaces: any numeric address with this port is accepted.
-    everywhere: Option<u16>,
+    port: u16,
+    /// Whether the server listens on all interfaces: any numeric address with its port is accepted.
+    everywhere: bool,
 }
 
 impl Guard {
@@ -25,8 +29,7 @@ impl Guard {
         if address.ip().is_loopback() {
             names.extend([format!("localhost:{port}"), format!("127.0.0.1:{port}"), format!("[::1]:{port}")]);
         }
-        let everywhere = address.ip().is_unspecified().then_some(port);
-        Self { token: token(), names, everywhere }
+        Self { token: token(), names, port, everywhere: address.ip().is_unspecified() }
     }
 
     /// The token, 32 hexadecimal digits.
@@ -36,8 +39,9 @@ impl Guard {
 
     /// Whether a `Host` header names this server.
     pub(crate) fn host(&self, host: Option<&str>) -> bool {
-        let number = |h: &str| h.parse::<SocketAddr>().is_ok_and(|a| Some(a.port()) == self.everywhere);
-        host.is_some_and(|h| self.names.iter().any(|n| n.eq_ignore_ascii_case(h)) || number(h))
+        let number = |h: &str| self.everywhere && h.parse::<SocketAddr>().is_ok_and(|a| a.port() == self.port);
+        let known = |h: &str| self.names.iter().any(|n| n.eq_ignore_ascii_case(h)) || number(h);
+        host.is_some_and(|h| known(h) || self.port == HTTP && known(&format!("{h}:{HTTP}")))
     }
 
     /// Whether an `Origin` header is this server. A missing header is accepted: only browsers send one.
@@ -97,6 +101,24 @@ mod tests {
         assert!(guard.host(Some("192.168.1.5:7007")) && guard.origin(Some("http://[fe80::1]:7007")));
         for bad in ["192.168.1.5:80", "evil.example:7007", "192.168.1.5", "192.168.1.5.evil.example:7007"] {
             assert!(!guard.host(Some(bad)), "{bad}");
+        }
+    }
+
+    #[test]
+    fn the_port_of_http_may_be_left_out() {
+        let here = Guard::new("127.0.0.1:80".parse().unwrap());
+        for good in ["127.0.0.1", "localhost", "LOCALHOST", "[::1]", "127.0.0.1:80", "localhost:80"] {
+            assert!(here.host(Some(good)) && here.origin(Some(&format!("http://{good}"))), "{good}");
+        }
+        for bad in ["evil.example", "evil.example:80", "localhost:7007", "localhost:80:80", "192.168.1.5", ""] {
+            assert!(!here.host(Some(bad)) && !here.origin(Some(&format!("http://{bad}"))), "{bad}");
+        }
+        let everywhere = Guard::new("[::]:80".parse().unwrap());
+        for good in ["192.168.1.5", "[fe80::1]", "192.168.1.5:80"] {
+            assert!(everywhere.host(Some(good)) && everywhere.origin(Some(&format!("http://{good}"))), "{good}");
+        }
+        for bad in ["evil.example", "192.168.1.5:7007", "192.168.1.5.evil.example"] {
+            assert!(!everywhere.host(Some(bad)), "{bad}");
         }
     }
 

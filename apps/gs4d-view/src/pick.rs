@@ -2,7 +2,7 @@
 //! backward pass of the rasteriser.
 
 use crate::shot::Shot;
-use gs_core::{Camera, Color};
+use gs_core::{Color, cast};
 use gs_raster::{FrameGrad, Workspace, render, render_backward};
 use serde_json::{Value, json};
 
@@ -17,15 +17,18 @@ const PATH_POINTS: usize = 33;
 /// As [`Shot::all_splats`].
 pub(crate) fn pick(shot: &Shot, at: [f32; 2]) -> Result<Value, String> {
     let camera = &shot.camera;
-    let pixel = [at[0] * camera.width as f32, at[1] * camera.height as f32].map(|v| f64::from(v.floor()));
-    let one = Camera { width: 1, height: 1, cx: camera.cx - pixel[0], cy: camera.cy - pixel[1], ..camera.clone() };
+    let place = |share: f32, side: u32| cast::to_usize(f64::from(share) * f64::from(side)).min(side as usize - 1);
+    let pixel = [place(at[0], camera.width), place(at[1], camera.height)];
+    let index = pixel[1] * camera.width as usize + pixel[0];
     let splats = shot.all_splats()?;
     let mut grey = splats.clone().into_owned();
     grey.color = Color::Rgb(vec![[0.5; 3]; splats.len()]);
     let mut workspace = Workspace::new();
-    let frame = render(&grey, &one, &shot.options(), &mut workspace);
-    let d = FrameGrad { rgb: vec![1.0, 0.0, 0.0], ..FrameGrad::default() };
-    let (grad, _) = render_backward(&grey, &one, &shot.options(), &mut workspace, &d);
+    // The whole image: a camera of one pixel would have another frustum, and splats at its rim another shape.
+    let frame = render(&grey, camera, &shot.options(), &mut workspace);
+    let mut d = FrameGrad { rgb: vec![0.0; frame.rgb.data.len()], ..FrameGrad::default() };
+    d.rgb[3 * index] = 1.0;
+    let (grad, _) = render_backward(&grey, camera, &shot.options(), &mut workspace, &d);
     let weights: Vec<f32> = grad.color.chunks_exact(3).map(|c| c[0]).collect();
     let mut order: Vec<usize> = (0..splats.len()).filter(|&i| weights[i] > 0.0).collect();
     order.sort_by(|&a, &b| weights[b].total_cmp(&weights[a]).then(a.cmp(&b)));
@@ -43,7 +46,7 @@ pub(crate) fn pick(shot: &Shot, at: [f32; 2]) -> Result<Value, String> {
         })
     };
     let found: Vec<Value> = order.iter().enumerate().map(about).collect();
-    Ok(json!({"alpha": frame.alpha.first(), "splats": found, "pixel": pixel}))
+    Ok(json!({"alpha": frame.alpha.get(index), "splats": found, "pixel": pixel}))
 }
 
 /// Means of some splats at times from 0 to 1, `[splats, PATH_POINTS, 3]`; one point each for a static scene.

@@ -180,9 +180,9 @@ impl Show {
         self.background
     }
 
-    /// The data's own time from normalised 0 to 1, seconds where it has any.
+    /// Seconds from normalised time 0 to 1; 1, for the whole sequence, where the data have none.
     pub(crate) fn seconds(&self) -> f64 {
-        self.clock.map_or(1.0, |[start, end]| end - start)
+        self.clock.filter(|_| self.has_seconds()).map_or(1.0, |[start, end]| end - start)
     }
 
     /// Whether the data's own time is in seconds: it is where it lies outside 0..1.

@@ -1,6 +1,7 @@
 //! Videos by ffmpeg, where it is installed: frames go to its input, the file appears when it is whole.
 
 use crate::failure::{Class, Failure};
+use std::ffi::OsString;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -33,7 +34,7 @@ impl Encoder {
             .args(["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-c:v", "libx264", "-crf", "18", "-pix_fmt", "yuv420p"])
             .arg("-movflags")
             .arg("+faststart")
-            .arg(&unfinished)
+            .arg(output(&unfinished))
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
             .spawn()
@@ -59,10 +60,30 @@ impl Encoder {
     }
 }
 
+/// How ffmpeg is given a file: no name is taken for a flag or for a protocol.
+fn output(path: &Path) -> OsString {
+    let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
+    let mut text = OsString::from("file:");
+    text.push(absolute);
+    text
+}
+
 impl Drop for Encoder {
     fn drop(&mut self) {
         drop(self.child.stdin.take());
         let _ = self.child.wait();
         let _ = std::fs::remove_file(&self.unfinished);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_neither_flags_nor_protocols() {
+        let text = output(Path::new("take:2/-y.mp4"));
+        let path = text.to_str().unwrap().strip_prefix("file:").unwrap();
+        assert!(Path::new(path).is_absolute() && Path::new(path).ends_with("take:2/-y.mp4"), "{path}");
     }
 }

@@ -47,8 +47,9 @@ pub(super) fn new_anchors(
 ) -> Vec<NewAnchor> {
     let rendered_often = |row: usize| statistics.rendered[row] > 0.5 * interval;
     let stream = |row: usize| Rng::new(at.seed, "grow", at.step, row as u64);
+    let least = (0..rules.levels).map(|level| rules.threshold(level)).fold(f32::INFINITY, f32::min);
     let rows: Vec<usize> = (0..statistics.rendered.len())
-        .filter(|&row| rendered_often(row) && statistics.mean_grad(row) >= rules.threshold(0))
+        .filter(|&row| rendered_often(row) && statistics.mean_grad(row) >= least)
         .collect();
     let mut streams: Vec<Rng> = rows.iter().map(|&row| stream(row)).collect();
     let mut new: Vec<NewAnchor> = Vec::new();

@@ -151,19 +151,45 @@ impl File {
 
     /// Samplers of translation and rotation of a motion, and the channels of `node` that they move.
     fn animate(&mut self, motion: &RigidMotion, node: usize, samplers: &mut Vec<Value>, channels: &mut Vec<Value>) {
-        let [fx, fy, fz] = FLIPPED.map(|f| if f { -1.0f32 } else { 1.0 });
         let times = self.add(motion.times.clone(), 1, false);
         let ends = [motion.times.first(), motion.times.last()].map(|t| json!([t.copied().unwrap_or_default()]));
         let [first, last] = ends;
         self.bound(times, first, last);
-        let moved = motion.translations.iter().flat_map(|t| [fx * t.x, fy * t.y, fz * t.z]).collect();
-        let turned = motion.rotations.iter().flat_map(|[w, x, y, z]| [fy * fz * x, fx * fz * y, fx * fy * z, *w]);
-        let turned = turned.collect();
+        let moved = motion.translations.iter().flat_map(|t| flipped_translation(*t)).collect();
+        let turned = motion.rotations.iter().flat_map(|q| flipped_rotation(*q)).collect();
         for (path, width, values) in [("translation", 3, moved), ("rotation", 4, turned)] {
             let output = self.add(values, width, false);
             channels.push(json!({"sampler": samplers.len(), "target": {"node": node, "path": path}}));
             samplers.push(json!({"input": times, "output": output, "interpolation": "LINEAR"}));
         }
+    }
+}
+
+/// Signs of the axes in the file.
+fn signs() -> [f32; 3] {
+    FLIPPED.map(|f| if f { -1.0 } else { 1.0 })
+}
+
+/// A translation as the file has it.
+fn flipped_translation(t: Vec3) -> [f32; 3] {
+    let [fx, fy, fz] = signs();
+    [fx * t.x, fy * t.y, fz * t.z]
+}
+
+/// A rotation `(w, x, y, z)` as the file has it: x, y, z, w.
+fn flipped_rotation([w, x, y, z]: [f32; 4]) -> [f32; 4] {
+    let [fx, fy, fz] = signs();
+    [fy * fz * x, fx * fz * y, fx * fy * z, w]
+}
+
+/// A node of a mesh; one that moves stands where its motion begins, for readers that play no animation.
+fn node(mesh: usize, motion: &RigidMotion) -> Value {
+    match (motion.translations.first(), motion.rotations.first()) {
+        (Some(translation), Some(rotation)) => {
+            let (translation, rotation) = (flipped_translation(*translation), flipped_rotation(*rotation));
+            json!({"mesh": mesh, "translation": translation, "rotation": rotation})
+        }
+        _ => json!({"mesh": mesh}),
     }
 }
 
@@ -222,13 +248,13 @@ fn write_pieces(pieces: &[(&RawSplats, &RigidMotion)], out: &mut dyn Write) -> s
             file.animate(motion, node, &mut samplers, &mut channels);
         }
     }
-    let nodes = 0..meshes.len();
+    let nodes: Vec<Value> = pieces.iter().enumerate().map(|(k, (_, motion))| node(k, motion)).collect();
     let mut document = json!({
         "asset": {"version": "2.0", "generator": "gs4d"},
         "extensionsUsed": [EXTENSION],
         "scene": 0,
-        "scenes": [{"nodes": nodes.clone().collect::<Vec<_>>()}],
-        "nodes": nodes.map(|k| json!({"mesh": k})).collect::<Vec<_>>(),
+        "scenes": [{"nodes": (0..nodes.len()).collect::<Vec<_>>()}],
+        "nodes": nodes,
         "meshes": meshes,
         "buffers": [{"byteLength": file.bytes}],
         "bufferViews": file.views,
@@ -315,6 +341,11 @@ mod tests {
         write_parts(&parts, &mut bytes).unwrap();
         let scene = read_scene(&bytes, "t.glb", &Limits::default()).unwrap();
         assert_eq!(scene.duration(), 2.0);
+        // A reader without animations finds the part where its motion begins.
+        let (text, _) = chunks(&bytes, Source { file: "t", format: "glTF" }).unwrap();
+        let document: Value = serde_json::from_slice(text).unwrap();
+        assert!(document["nodes"][0].get("translation").is_none());
+        assert_eq!(document["nodes"][1]["rotation"], json!([0.0, 0.0, 0.0, 1.0]));
         let compare = |seconds: f32, rotation: [f32; 4], translation: Vec3| {
             let got = scene.at(seconds);
             assert_eq!((got.len(), got.degree), (12, 2));

@@ -84,7 +84,7 @@ pub(super) struct Hull {
 
 impl Hull {
     pub(super) fn carve(data: &Dataset) -> Result<Self, DataError> {
-        let views = silhouettes(&data.train, !data.has_alpha)?;
+        let views = silhouettes(&data.train, !data.has_alpha, data.max_image_mib)?;
         Ok(Self::of(&views, data, AGREEMENT))
     }
 
@@ -138,6 +138,7 @@ pub struct Carved {
     /// The silhouettes used, ascending in time.
     pub silhouettes: Vec<Silhouette>,
     by_mask: bool,
+    max_image_mib: Option<u32>,
     hull: Hull,
 }
 
@@ -153,10 +154,10 @@ pub fn carve(data: &Dataset, agreement: f64, camera: impl Fn(&Camera) -> Camera)
     if !data.has_alpha && data.train.iter().filter(|v| v.mask.is_some()).count() < MIN_RUN {
         return Ok(None);
     }
-    let by_mask = !data.has_alpha;
-    let silhouettes = silhouettes(&data.train, by_mask)?;
+    let (by_mask, max_image_mib) = (!data.has_alpha, data.max_image_mib);
+    let silhouettes = silhouettes(&data.train, by_mask, max_image_mib)?;
     let hull = Hull::of(&silhouettes, &data, agreement);
-    Ok(Some(Carved { silhouettes, by_mask, hull }))
+    Ok(Some(Carved { silhouettes, by_mask, max_image_mib, hull }))
 }
 
 impl Carved {
@@ -165,7 +166,7 @@ impl Carved {
     /// # Errors
     /// Those of decoding the images.
     pub fn silhouettes_of(&self, views: &[View]) -> Result<Vec<Silhouette>, DataError> {
-        silhouettes(views, self.by_mask)
+        silhouettes(views, self.by_mask, self.max_image_mib)
     }
 
     /// Colours of the nearest projected cells in a camera's image, display-encoded RGB; none where no cell covers a pixel.
@@ -206,14 +207,14 @@ impl Carved {
 }
 
 /// The views ascending in time, an even selection at reduced size; `by_mask` takes those with a mask, which becomes their alpha.
-fn silhouettes(train: &[View], by_mask: bool) -> Result<Vec<Silhouette>, DataError> {
+fn silhouettes(train: &[View], by_mask: bool, max_image_mib: Option<u32>) -> Result<Vec<Silhouette>, DataError> {
     let mut order: Vec<(usize, &View)> =
         train.iter().enumerate().filter(|(_, v)| !by_mask || v.mask.is_some()).collect();
     order.sort_by(|a, b| a.1.time.normalised.total_cmp(&b.1.time.normalised));
     let count = order.len().min(MAX_VIEWS);
     let chosen: Vec<(usize, &View)> = (0..count).map(|k| order[k * order.len() / count]).collect();
     let largest = chosen.iter().map(|(_, v)| v.camera.width.max(v.camera.height)).max().unwrap_or(1);
-    let cache = ImageCache::new(0, IMAGE_SIDE / f64::from(largest));
+    let cache = ImageCache::new(0, IMAGE_SIDE / f64::from(largest)).with_max_image_mib(max_image_mib);
     let load = |&(index, v): &(usize, &View)| {
         let mut image = cache.get(v)?;
         if let Some(mask) = cache.mask(v)?.filter(|_| by_mask) {

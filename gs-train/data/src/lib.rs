@@ -153,6 +153,8 @@ pub struct Dataset {
     pub bounds: Option<[Vec3; 2]>,
     /// Template, poses and inputs of a filmed person (layout `avatar`).
     pub avatar: Option<Arc<AvatarScene>>,
+    /// Most memory for decoding one of its images, MiB ([`DataOptions::max_image_mib`]).
+    pub max_image_mib: Option<u32>,
     /// Every assumption the reader made, one sentence each.
     pub notes: Vec<String>,
 }
@@ -197,6 +199,7 @@ impl Dataset {
         let file = scene_file::read(dir)?;
         let options = &file.under(options);
         let mut data = (layout.open)(dir, options)?;
+        data.max_image_mib = options.max_image_mib;
         if with_start {
             file.apply_start(&mut data)?;
         }
@@ -270,6 +273,7 @@ impl Dataset {
             time_source: self.time_source.clone(),
             bounds: self.bounds,
             avatar: self.avatar.clone(),
+            max_image_mib: self.max_image_mib,
             notes: self.notes.clone(),
         }
     }

@@ -5,11 +5,11 @@
 //! `camera_model` `OPENCV_FISHEYE`, or `is_fisheye`, the `k1 k2 k3 k4` of its fisheye. Per frame `file_path`, `transform_matrix` (camera to
 //! world, OpenGL axes) and optionally `time`, `camera_index` (frames of one camera of a rig share it; where any frame lacks it, frames of
 //! one pose are of one camera), `mask_path` (white counts, black does not) and
-//! `depth_file_path` (`.npy` or PNG of 16 bit, in millimetres unless `depth_unit_scale_factor` at top level says otherwise). `train_filenames`, `val_filenames`, `test_filenames` give the split, else
-//! every eighth view is held out. `ply_file_path` names the initial points. `applied_transform` is not used:
+//! `depth_file_path` (`.npy` or PNG of 16 bit, in millimetres unless `depth_unit_scale_factor` at top level says otherwise). `train_filenames`, `val_filenames`, `test_filenames` give the split; without
+//! the first, every frame of neither other list trains; without any, every eighth view is held out. `ply_file_path` names the initial points. `applied_transform` is not used:
 //! poses and points are both in the transformed world.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use glam::DVec2;
@@ -270,31 +270,71 @@ enum Target {
     Nowhere,
 }
 
+/// The list of the frames that train.
+const TRAIN: &str = "train_filenames";
+/// The lists of the frames that are held out; a frame of both is of the last.
+const HELD_OUT: [(&str, Target); 2] = [("val_filenames", Target::Val), ("test_filenames", Target::Test)];
+
 fn split(
     document: &Document,
     written: &[String],
     options: &DataOptions,
     notes: &mut Vec<String>,
 ) -> Result<Vec<Target>, DataError> {
-    let mut targets = vec![Target::Nowhere; written.len()];
-    let Some(train) = document.names("train_filenames")? else {
-        let (_, held) = hold_out(written, options.hold_out);
-        targets.fill(Target::Train);
-        held.iter().for_each(|&i| targets[i] = Target::Test);
-        notes.push(hold_out_note(options.hold_out, held.len()));
+    let train = document.names(TRAIN)?;
+    let mut held = Vec::new();
+    for (key, target) in HELD_OUT {
+        held.push((key, document.names(key)?.unwrap_or_default(), target));
+    }
+    if train.is_none() && held.iter().all(|(_, list, _)| list.is_empty()) {
+        let (_, out) = hold_out(written, options.hold_out);
+        let mut targets = vec![Target::Train; written.len()];
+        out.iter().for_each(|&i| targets[i] = Target::Test);
+        notes.push(hold_out_note(options.hold_out, out.len()));
         return Ok(targets);
+    }
+    let mut listed: HashMap<&str, Target> = train.iter().flatten().map(|name| (name.as_str(), Target::Train)).collect();
+    for (key, list, target) in &held {
+        check_held_out(document, train.as_deref(), key, list)?;
+        listed.extend(list.iter().map(|name| (name.as_str(), *target)));
+    }
+    let others = written.iter().filter(|name| !listed.contains_key(name.as_str())).count();
+    let rest = if train.is_some() { Target::Nowhere } else { Target::Train };
+    if train.is_none() {
+        notes.push(format!("the data have no {TRAIN}: the {others} frames that are not held out train"));
+    } else if others > 0 {
+        notes.push(format!("{others} frames are in none of the lists of file names and are not used"));
+    }
+    Ok(written.iter().map(|name| listed.get(name.as_str()).copied().unwrap_or(rest)).collect())
+}
+
+/// Refuses a frame that trains and is held out. Where all other frames train, a name that is held out must be that of a frame.
+fn check_held_out(document: &Document, train: Option<&[String]>, key: &str, list: &[String]) -> Result<(), DataError> {
+    let (known, what, why, fix): (HashSet<String>, _, _, _) = match train {
+        Some(train) => (
+            train.iter().cloned().collect(),
+            "which train_filenames lists too",
+            "a view that trains cannot be held out",
+            "remove it from one of the lists",
+        ),
+        None => (
+            (0..document.len())
+                .map(|i| Ok(document.frame(i)?.required_text("file_path")?.to_owned()))
+                .collect::<Result<_, DataError>>()?,
+            "which is the file_path of no frame",
+            "all frames that are not held out train, and its frame would be one of them",
+            "write it as the frame does",
+        ),
     };
-    let index: HashMap<&str, usize> = written.iter().enumerate().map(|(i, w)| (w.as_str(), i)).collect();
-    let val = document.names("val_filenames")?.unwrap_or_default();
-    let test = document.names("test_filenames")?.unwrap_or_default();
-    for (list, target) in [(val, Target::Val), (test, Target::Test), (train, Target::Train)] {
-        list.iter().filter_map(|n| index.get(n.as_str())).for_each(|&i| targets[i] = target);
+    match list.iter().position(|name| known.contains(name) == train.is_some()) {
+        None => Ok(()),
+        Some(i) => Err(DataError::Field {
+            place: document.top().place(&format!("{key}[{i}]")),
+            value: format!("\"{}\", {what}", list[i]),
+            why,
+            fix,
+        }),
     }
-    let unused = targets.iter().filter(|t| matches!(t, Target::Nowhere)).count();
-    if unused > 0 {
-        notes.push(format!("{unused} frames are in none of the lists of file names and are not used"));
-    }
-    Ok(targets)
 }
 
 fn deal(drafts: Vec<Draft>, targets: &[Target]) -> Drafts {

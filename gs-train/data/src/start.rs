@@ -132,7 +132,7 @@ impl Dataset {
             return Ok(None);
         }
         let count = with.len().min(MAX_DEPTHS).min(n.max(1));
-        let cache = ImageCache::new(0, 1.0);
+        let cache = ImageCache::new(0, 1.0).with_max_image_mib(self.max_image_mib);
         let mut cloud = PointCloud::default();
         for k in 0..count {
             let (view, map) = with[k * with.len() / count];

@@ -61,6 +61,7 @@ impl Settled {
             time_source: self.source,
             bounds: None,
             avatar: None,
+            max_image_mib: None,
             notes,
         }
     }

@@ -2,10 +2,9 @@
 
 use glam::DVec3;
 use glam::Vec3;
-use gs_data::Dataset;
-use gs_data::ImageSource;
 use gs_data::pixels::ImageU8;
-use gs_synth::{SynthOptions, generate};
+use gs_data::{DataOptions, Dataset, ImageSource};
+use gs_synth::{SynthOptions, generate, write};
 use std::sync::Arc;
 
 fn options() -> SynthOptions {
@@ -104,4 +103,24 @@ fn small_things_have_points_where_they_are_at_the_first_moment() {
     let ball = made.truth.position_of(0, DVec3::ZERO, 0.0).unwrap().as_vec3();
     let near = cloud.positions[..1000].iter().filter(|p| p.distance(ball) < 0.3).count();
     assert!(near > 20, "{near} points of the hull in the ball");
+}
+
+#[test]
+fn images_are_carved_within_the_limit_of_the_data() {
+    let dir = tempfile::tempdir().unwrap();
+    let (folder, file) = (dir.path().join("data"), dir.path().join("large.png"));
+    write(&folder, "static", &SynthOptions::of_views(16, 3, 1), false).unwrap();
+    let opened = Dataset::open(&folder, &DataOptions { max_image_mib: Some(3), ..DataOptions::default() }).unwrap();
+    assert_eq!([opened.max_image_mib, opened.at_first_time().max_image_mib], [Some(3); 2]);
+
+    image::RgbaImage::from_pixel(640, 640, image::Rgba([9, 9, 9, 255])).save(&file).unwrap();
+    let mut data = generate("static", &SynthOptions { train_views: 2, ..options() }).unwrap().dataset;
+    for v in &mut data.train {
+        (v.camera, v.image) = (v.camera.scaled(10.0), ImageSource::File(file.clone()));
+    }
+    let fault = |max_image_mib| {
+        let points = Dataset { max_image_mib, ..data.clone() }.initial_points(10, 0);
+        points.err().map(|e| e.code())
+    };
+    assert_eq!([None, Some(1), Some(8)].map(fault), [None, Some("limits.file"), None]);
 }

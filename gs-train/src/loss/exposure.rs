@@ -7,7 +7,7 @@
 //! and                E_j ← E_j Ē⁻¹            for all images j: their mean stays the identity
 //! ```
 //! The last line holds the colours of the scene: brighter splats and darker maps would give the same images. Saturated values of an image are met by anything
-//! above them.
+//! above them, which then counts as they do and has no gradient.
 
 use gs_core::Image;
 use gs_metrics::color_map::SATURATED;
@@ -50,6 +50,23 @@ pub struct ExposureFit {
     pub ridge: f64,
 }
 
+/// A frame in the colours of its image, with buffers kept between calls.
+#[derive(Default)]
+pub(super) struct Mapped {
+    /// Its colours.
+    pub(super) colors: Image,
+    /// Where a saturated value of the image took the place of one above it: there they are constants.
+    met: Vec<usize>,
+}
+
+impl Mapped {
+    /// From the gradient with respect to its colours, to that with respect to those of the frame.
+    pub(super) fn pull_back(&self, map: &ColorMap, grad: &mut [f32]) {
+        self.met.iter().for_each(|&at| grad[at] = 0.0);
+        map.pull_back(grad);
+    }
+}
+
 impl ExposureFit {
     /// Writes `rendered` in the colours of `target` to `mapped`; gives the map that fits best.
     pub(super) fn apply(
@@ -57,12 +74,18 @@ impl ExposureFit {
         rendered: &Image,
         target: &Image,
         mask: Option<&Image>,
-        mapped: &mut Image,
+        mapped: &mut Mapped,
     ) -> Result<ColorMap, MetricError> {
-        mapped.clone_from(rendered);
-        self.map.apply(mapped);
-        let pairs = mapped.data.iter_mut().zip(&target.data);
-        pairs.filter(|(v, y)| **y >= SATURATED && **v > **y).for_each(|(v, y)| *v = *y);
+        let Mapped { colors, met } = mapped;
+        colors.clone_from(rendered);
+        self.map.apply(colors);
+        met.clear();
+        for (at, (v, y)) in colors.data.iter_mut().zip(&target.data).enumerate() {
+            if *y >= SATURATED && *v > *y {
+                *v = *y;
+                met.push(at);
+            }
+        }
         ColorMap::fit(rendered, target, mask, self.ridge)
     }
 }
@@ -182,6 +205,46 @@ mod tests {
                 let want = (value(h) - value(-h)) / f64::from(2.0 * h);
                 let got = f64::from(grad.rgb[at]);
                 assert!((got - want).abs() < 2e-2 * want.abs() + 3e-7, "value {at}: {got} {want}");
+            }
+        }
+    }
+
+    /// Frames above saturated values are constants of the loss, for themselves and in the windows of their neighbours.
+    #[test]
+    fn gradients_match_finite_differences_where_images_are_saturated() {
+        let ((mut frame, mut image), mut grad) = (pair(), FrameGrad::default());
+        let [width, height] = SIZE;
+        let mut paint = |x: usize, y: usize, color: [f32; 3], bytes: [u8; 3]| {
+            let at = y * width + x;
+            frame.rgb.data[3 * at..3 * at + 3].copy_from_slice(&color);
+            image.data[4 * at..4 * at + 3].copy_from_slice(&bytes);
+            3 * at
+        };
+        for k in 0..100 {
+            paint(10 + k % 10, 8 + k / 10, [1.6; 3], [255; 3]);
+        }
+        let bright = paint(19, 12, [1.5, 1.7, 1.6], [255; 3]);
+        let beside = paint(21, 12, [0.2; 3], [128; 3]);
+        let red = paint(5, 20, [1.6, 0.2, 0.2], [255, 128, 128]);
+        let inside = |p: usize| f32::from(u8::from(p % width < 25));
+        let mask = Image { width, height, channels: 1, data: (0..width * height).map(inside).collect() };
+        let map = ColorMap { matrix: [[0.8, 0.1, 0.0], [0.0, 0.9, -0.1], [0.05, 0.0, 0.7]] };
+        let mut loss = ImageLoss::new(0.8).with(0.2, Dssim::Ssim.term());
+        for mask in [None, Some(&mask)] {
+            let truth = truth(&image, mask, Some(map));
+            loss.evaluate(&frame, &truth, &mut grad).unwrap();
+            assert_eq!(grad.rgb[bright..bright + 3], [0.0; 3]);
+            assert!(grad.rgb[red..red + 3].iter().all(|g| *g != 0.0), "its green and blue are not saturated");
+            for at in [bright, bright + 2, beside, beside + 1, red, red + 1, red + 2] {
+                let h = 4e-3;
+                let mut value = |by: f32| {
+                    let mut moved = frame.clone();
+                    moved.rgb.data[at] += by;
+                    loss.evaluate(&moved, &truth, &mut FrameGrad::default()).unwrap().total
+                };
+                let want = (value(h) - value(-h)) / f64::from(2.0 * h);
+                let got = f64::from(grad.rgb[at]);
+                assert!((got - want).abs() < 2e-2 * want.abs() + 1e-6, "value {at}: {got} {want}");
             }
         }
     }

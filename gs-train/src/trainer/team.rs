@@ -1,6 +1,6 @@
 //! Ranks that train together: the first leads, the others follow.
 
-use super::{TrainError, Trainer};
+use super::{TrainError, Trainer, image_cache};
 use crate::checkpoint::Checkpoint;
 use crate::error::RanksError;
 use crate::evaluate::{EvalError, EvalReport, Scoring, evaluate_with_future};
@@ -158,7 +158,7 @@ impl Trainer {
                 Some(Command::Step) => self.step_with_ranks().map(drop),
                 Some(Command::Gather) => self.share_rows(),
                 Some(Command::Evaluate) => {
-                    match self.evaluate_with_ranks(&ImageCache::new(self.options.image_bytes, 1.0)) {
+                    match self.evaluate_with_ranks(&image_cache(&self.dataset, &self.options, 1.0)) {
                         Err(EvalError::Rank(ShareError::Ranks(e))) => Err(e.into()),
                         _ => Ok(()),
                     }

@@ -8,7 +8,7 @@
 
 use crate::schedule::Schedule;
 use gs_core::{Rng, cast};
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 
 /// Where views are taken from.
 #[derive(Clone, Copy, Debug)]
@@ -30,8 +30,21 @@ impl Pool {
     }
 }
 
+/// The views of a pool that are drawn alike; beside the seed, their order depends on nothing else.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Lot {
+    /// Number of the pool.
+    epoch: u32,
+    /// Whether they are its newest.
+    newest: bool,
+    /// Their first and last time.
+    times: [f32; 2],
+}
+
 /// Times this close to a limit, normalised, lie inside.
 const SLACK: f32 = 1e-6;
+/// Orders that are kept: of all views and of the newest, of the pool of a step and of that of the next.
+const KEPT: usize = 4;
 
 /// The training views in the order of a schedule.
 #[derive(Clone, Debug)]
@@ -43,6 +56,8 @@ pub(crate) struct ViewOrder {
     sorted: Vec<f32>,
     /// Number and begin of the pool the last view came from: where the search for the next one starts.
     last: Cell<(u32, u32)>,
+    /// The orders last drawn from, the latest first.
+    orders: RefCell<Vec<(Lot, Vec<usize>)>>,
 }
 
 impl ViewOrder {
@@ -50,7 +65,7 @@ impl ViewOrder {
     pub(crate) fn new(seed: u64, times: Vec<f32>) -> Self {
         let mut sorted = times.clone();
         sorted.sort_by(f32::total_cmp);
-        Self { seed, times, sorted, last: Cell::default() }
+        Self { seed, times, sorted, last: Cell::default(), orders: RefCell::default() }
     }
 
     /// Index of the view drawn as number `draw` (from 1) of a run.
@@ -65,12 +80,28 @@ impl ViewOrder {
                 self.last.set((epoch, begin));
                 let (newest, at) = pool.draw(draw - begin - 1);
                 let from = if newest { pool.newest.1 } else { f32::MIN };
-                let views: Vec<usize> = self.within(from, pool.to).collect();
-                let order = Rng::new(self.seed, "view-order", epoch, newest.into()).permutation(views.len());
-                return order.get(at as usize % order.len().max(1)).map_or(0, |k| views[*k as usize]);
+                return self.pick(Lot { epoch, newest, times: [from, pool.to] }, at);
             }
             (epoch, begin) = (epoch + 1, end);
         }
+    }
+
+    /// The view at a place of the order of a lot; after the last comes the first again.
+    fn pick(&self, lot: Lot, at: u32) -> usize {
+        let mut orders = self.orders.borrow_mut();
+        let kept = orders.iter().position(|(of, _)| *of == lot);
+        let (_, order) = kept.map_or_else(|| (lot, self.shuffled(lot)), |k| orders.remove(k));
+        let view = order.get(at as usize % order.len().max(1)).copied().unwrap_or(0);
+        orders.insert(0, (lot, order));
+        orders.truncate(KEPT);
+        view
+    }
+
+    /// The views of a lot in the order they are drawn.
+    fn shuffled(&self, Lot { epoch, newest, times: [from, to] }: Lot) -> Vec<usize> {
+        let views: Vec<usize> = self.within(from, to).collect();
+        let order = Rng::new(self.seed, "view-order", epoch, newest.into()).permutation(views.len());
+        order.into_iter().map(|k| views[k as usize]).collect()
     }
 
     /// The pool that is made at a draw.
@@ -201,6 +232,35 @@ mod tests {
         let schedule = schedule(|s| s.stages = stages.clone().map(|(name, stage)| (name.to_owned(), stage)).into());
         let order = order();
         assert!((41..=45).all(|draw| order.view(&schedule, draw) < 4), "the first of six parts");
+    }
+
+    /// A step draws its own views and those of the next, so pools are drawn from in turn.
+    #[test]
+    fn views_are_those_of_orders_that_are_shuffled_for_every_draw() {
+        let window = |newest, steps| Stage {
+            steps,
+            window_parts: 6,
+            window_until: 0.5,
+            window_newest: newest,
+            ..Stage::default()
+        };
+        for (batch, stage) in
+            [(1, window(0.0, 200)), (3, window(0.5, 90)), (30, Stage { steps: 9, ..Stage::default() })]
+        {
+            let schedule = schedule(|s| {
+                s.batch = batch;
+                s.stages = BTreeMap::from([("dynamic".to_owned(), stage.clone())]);
+            });
+            let kept = order();
+            for step in 0..stage.steps {
+                for draw in step * batch + 1..=(step + 2) * batch {
+                    assert_eq!(kept.view(&schedule, draw), order().view(&schedule, draw), "draw {draw} of {batch}");
+                }
+                assert!(kept.orders.borrow().len() <= KEPT);
+            }
+            let again: Vec<usize> = (1..=24).map(|draw| kept.view(&schedule, draw)).collect();
+            assert_eq!(again, (1..=24).map(|draw| order().view(&schedule, draw)).collect::<Vec<_>>(), "from the start");
+        }
     }
 
     #[test]

@@ -220,6 +220,7 @@ pub fn generate(name: &str, options: &SynthOptions) -> Result<SynthData, DataErr
         time_source: source.into(),
         bounds: Some([Vec3::splat(-HALF_SIDE), Vec3::splat(HALF_SIDE)]),
         avatar: None,
+        max_image_mib: None,
         notes: notes(&truth, viewpoints.times),
     };
     Ok(SynthData { dataset, truth })

@@ -27,13 +27,20 @@ pub fn frame_times(training: &[f32]) -> Vec<f32> {
 }
 
 impl Baker<'_> {
-    /// The scene at ascending times as a clip, with the layers of the method.
+    /// The scene at ascending times as a clip, with the layers of the method. Parts are those of the motion up to `observed`, the last
+    /// training time.
     ///
     /// # Errors
     /// If the splats of a time are not valid, differ in number, or none is visible.
-    pub fn clip(&self, times: &[f32], tolerance: Tolerance, tick: &mut dyn FnMut(usize)) -> Result<Clip, ExportError> {
+    pub fn clip(
+        &self,
+        times: &[f32],
+        observed: f32,
+        tolerance: Tolerance,
+        tick: &mut dyn FnMut(usize),
+    ) -> Result<Clip, ExportError> {
         let frames = self.frames(times, &|splats| splats, tick)?;
-        let layers = clip_layers(self.method, &frames, times[times.len() / 2])?;
+        let layers = clip_layers(self.method, &frames, times[times.len() / 2], observed)?;
         Ok(Clip::fit(&frames, &self.cameras, tolerance).with_layers(layers))
     }
 
@@ -70,7 +77,7 @@ impl Baker<'_> {
 }
 
 /// Lengths of paths, rigid parts where there are any, and what the method offers at a time in the middle.
-fn clip_layers(method: &Model, frames: &Frames, time: f32) -> Result<Vec<Layer>, ExportError> {
+fn clip_layers(method: &Model, frames: &Frames, time: f32, observed: f32) -> Result<Vec<Layer>, ExportError> {
     let at = Timestamp::normalised(time);
     let layer = |name: &str, meaning: String, colors: &[[f32; 3]]| {
         let byte = |v: f32| cast::to_u8(v.clamp(0.0, 1.0) * 255.0 + 0.5);
@@ -82,7 +89,7 @@ fn clip_layers(method: &Model, frames: &Frames, time: f32) -> Result<Vec<Layer>,
         let (colors, most) = paths(frames);
         let meaning = format!("length of the path: dark blue rests, pale yellow {most:.3} world units or more");
         out.push(Layer { name: "path".to_owned(), meaning, colors });
-        if let Ok(labels) = layers::parts(method, 1.0) {
+        if let Ok(labels) = layers::parts(method, observed) {
             let meaning = format!("rigid parts: {}", labels.k);
             out.push(layer("parts", meaning, &layers::part_colors(&labels)));
         }

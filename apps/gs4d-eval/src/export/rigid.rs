@@ -7,7 +7,7 @@ use crate::segment::SegmentError;
 use glam::{DMat3, DQuat, DVec3};
 use gs_core::io::RawSplats;
 use gs_core::io::glb::{GlbScene, RigidMotion, RigidPart};
-use gs_core::rot;
+use gs_core::rot::{self, Mat3};
 use gs_core::{Splats, cast};
 use gs_physics::kabsch::kabsch;
 use gs_train::method::MethodError;
@@ -62,7 +62,7 @@ impl Baker<'_> {
             let raw = raw.map_err(|source| ExportError::Splats { time: middle, source })?;
             let moves = fitted.farthest > AT_REST * extent;
             scene.moving += usize::from(moves);
-            scene.parts.push(self.part(raw, fitted, if moves { &clock } else { &[] }));
+            scene.parts.push(moving_part(self.turn, raw, fitted, if moves { &clock } else { &[] }));
         }
         if scene.parts.is_empty() {
             return Err(ExportError::Empty { time: middle });
@@ -80,30 +80,6 @@ impl Baker<'_> {
         let raw = scene.at(cast::to_f32(f64::from(time - first) * seconds));
         self.turned_back(raw).to_splats().map_err(|e| MethodError::Render(e.to_string()))
     }
-
-    /// A part of the file, turned if files are; at rest without a clock.
-    fn part(&self, splats: RawSplats, fitted: Fitted, clock: &[f32]) -> RigidPart {
-        let turn = self.turn.map(|rows| DMat3::from_cols_array_2d(&rows).transpose());
-        let splats = match &self.turn {
-            Some(turn) => splats.mapped(turn),
-            None => splats,
-        };
-        let mut motion = RigidMotion { times: clock.to_vec(), ..RigidMotion::default() };
-        for (rotation, translation) in fitted.motions.into_iter().take(clock.len()) {
-            let (rotation, translation) = match turn {
-                Some(u) => (u * rotation * u.transpose(), u * translation),
-                None => (rotation, translation),
-            };
-            let mut quat = DQuat::from_mat3(&rotation).normalize();
-            let before = motion.rotations.last().map(|q| rot::to_glam(*q).as_dquat());
-            if before.is_some_and(|b| b.dot(quat) < 0.0) {
-                quat = -quat;
-            }
-            motion.translations.push(translation.as_vec3());
-            motion.rotations.push(rot::from_glam(quat.as_quat()));
-        }
-        RigidPart { splats, motion }
-    }
 }
 
 /// The motions of a part.
@@ -114,12 +90,16 @@ struct Fitted {
     weight: f64,
     /// Farthest that a motion takes a splat.
     farthest: f64,
+    /// Mean of the splats at rest, by opacity.
+    centre: DVec3,
 }
 
 /// The rigid motions from `rest` to the means of each frame that fit these rows best, by opacity.
 fn fit(rest: &Splats, rows: &[usize], frames: &[Vec<glam::Vec3>]) -> Fitted {
     let weights: Vec<f64> = rows.iter().map(|i| f64::from(rest.opacities[*i])).collect();
-    let mut out = Fitted { motions: Vec::new(), squares: 0.0, weight: 0.0, farthest: 0.0 };
+    let all: f64 = weights.iter().sum();
+    let centre = rows.iter().zip(&weights).map(|(i, w)| *w * rest.means[*i].as_dvec3()).sum::<DVec3>() / all;
+    let mut out = Fitted { motions: Vec::new(), squares: 0.0, weight: 0.0, farthest: 0.0, centre };
     for frame in frames {
         let pairs: Vec<_> = rows.iter().map(|i| (rest.means[*i].as_dvec3(), frame[*i].as_dvec3())).collect();
         let rigid = kabsch(&pairs, Some(&weights));
@@ -134,9 +114,81 @@ fn fit(rest: &Splats, rows: &[usize], frames: &[Vec<glam::Vec3>]) -> Fitted {
     out
 }
 
+/// A part of the file, turned if files are; at rest without a clock. One that moves has its own centre as its origin: readers
+/// take rotation and translation between key frames apart, and a part that turned about a far origin would leave its path.
+fn moving_part(turn: Option<Mat3<f64>>, splats: RawSplats, fitted: Fitted, clock: &[f32]) -> RigidPart {
+    let mut splats = match &turn {
+        Some(turn) => splats.mapped(turn),
+        None => splats,
+    };
+    let turn = turn.map_or(DMat3::IDENTITY, |rows| DMat3::from_cols_array_2d(&rows).transpose());
+    let mut motion = RigidMotion { times: clock.to_vec(), ..RigidMotion::default() };
+    let centre = turn * fitted.centre;
+    if !clock.is_empty() {
+        splats.means.iter_mut().for_each(|m| *m = (m.as_dvec3() - centre).as_vec3());
+    }
+    for (rotation, translation) in fitted.motions.into_iter().take(clock.len()) {
+        let rotation = turn * rotation * turn.transpose();
+        let translation = turn * translation + rotation * centre;
+        let mut quat = DQuat::from_mat3(&rotation).normalize();
+        let before = motion.rotations.last().map(|q| rot::to_glam(*q).as_dquat());
+        if before.is_some_and(|b| b.dot(quat) < 0.0) {
+            quat = -quat;
+        }
+        motion.translations.push(translation.as_vec3());
+        motion.rotations.push(rot::from_glam(quat.as_quat()));
+    }
+    RigidPart { splats, motion }
+}
+
 /// Diagonal of the box around the splats.
 fn extent(splats: &Splats) -> f64 {
     let low = splats.means.iter().copied().reduce(glam::Vec3::min).unwrap_or_default();
     let high = splats.means.iter().copied().reduce(glam::Vec3::max).unwrap_or_default();
     f64::from(low.distance(high))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gs_core::io::Limits;
+    use gs_core::io::glb::{read_scene, write_parts};
+
+    /// Splats on a circle around a far centre, by an angle.
+    fn ring(angle: f64) -> Splats {
+        let at = |k: usize| {
+            let a = angle + k as f64;
+            DVec3::new(4.0 + 0.5 * a.cos(), 0.5 * a.sin(), 1.0).as_vec3()
+        };
+        Splats {
+            means: (0..6).map(at).collect(),
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; 6],
+            scales: vec![glam::Vec3::splat(0.1); 6],
+            opacities: vec![0.5; 6],
+            color: gs_core::Color::Rgb(vec![[0.5; 3]; 6]),
+            ..Splats::default()
+        }
+    }
+
+    #[test]
+    fn a_part_that_turns_far_from_the_origin_keeps_its_place_between_key_frames() {
+        let (rest, rows) = (ring(0.0), [0, 1, 2, 3, 4, 5]);
+        let frames: Vec<_> = [0.0, 0.8, 1.6].map(|angle| ring(angle).means).to_vec();
+        // Turned by a quarter about x.
+        let quarter = [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]];
+        for turn in [None, Some(quarter)] {
+            let raw = RawSplats::from_splats(&rest).unwrap();
+            let made = moving_part(turn, raw, fit(&rest, &rows, &frames), &[0.0, 1.0, 2.0]);
+            let mut bytes = Vec::new();
+            write_parts(&[made], &mut bytes).unwrap();
+            let scene = read_scene(&bytes, "t.glb", &Limits::default()).unwrap();
+            for (seconds, angle) in [(0.0, 0.0), (0.5, 0.4), (1.0, 0.8), (1.75, 1.4)] {
+                let truth = RawSplats::from_splats(&ring(angle)).unwrap();
+                let truth = turn.map_or(truth.clone(), |turn| truth.mapped(&turn));
+                let shown = scene.at(seconds).means;
+                let off = shown.iter().zip(&truth.means).map(|(a, b)| a.distance(*b));
+                assert!(off.fold(0.0, f32::max) < 1e-4, "{seconds}");
+            }
+        }
+    }
 }

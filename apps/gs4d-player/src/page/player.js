@@ -37,7 +37,7 @@ function paint(now) {
   if (!renderer || !clip) return;
   const first = clip.times[0], end = clip.times[clip.times.length - 1];
   if (state.playing && end > first) {
-    state.t += (last ? Math.min(now - last, 200) : 0) / 1000 / length() * (end - first) * state.speed;
+    state.t += (last ? Math.min(now - last, 200) : 0) / 1000 * pace(end - first) * state.speed;
     if (state.t > end) { if (state.looping) state.t = first + ((state.t - first) % (end - first)); else { state.t = end; play(false); } }
     last = now;
     showTime();
@@ -51,7 +51,8 @@ function paint(now) {
 const rate = { times: [], push(t) { this.times.push(t); if (this.times.length > 60) this.times.shift(); }, get() { const t = this.times; return t.length > 1 ? (1000 * (t.length - 1)) / (t[t.length - 1] - t[0]) : 0; } };
 
 // Time.
-const length = () => (page.clock ? Math.max(0.2, page.clock[1] - page.clock[0]) : SECONDS);
+// Normalised time a second, of a clip that spans so much of it; no loop is shorter than a fifth of a second.
+const pace = (span) => (page.clock ? Math.min(1 / (page.clock[1] - page.clock[0]), span / 0.2) : span / SECONDS);
 function showTime() {
   const s = page.clock ? `${(page.clock[0] + state.t * (page.clock[1] - page.clock[0])).toFixed(2)} s` : state.t.toFixed(2);
   $("t").value = state.t; $("now").textContent = s; $("t").setAttribute("aria-valuetext", s);

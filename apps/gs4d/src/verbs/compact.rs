@@ -8,7 +8,7 @@ use crate::opening::RunData;
 use crate::output::check_free;
 use gs_data::Dataset;
 use gs4d_run::OpenRun;
-use gs4d_run::compact::{Bits, CompactScene, Packing};
+use gs4d_run::compact::{Bits, CompactReport, CompactScene, Packing};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -66,15 +66,34 @@ impl Compact {
         let run = self.place.open(&self.run, global)?;
         // Opened first, so that nothing is written if the data are missing.
         let dataset = if self.no_eval { None } else { Some(run.open_data()?) };
-        let scene = CompactScene::of(&run.loaded.model, &run.loaded.config);
-        let packing = Packing { bits: self.bits.into(), deflate: !self.no_deflate };
         let before = self.psnr(&run, dataset.as_ref())?;
-        let settings = run.resolved.config.table();
-        let report = scene.write(&self.out, &run.loaded, &settings, &run.kept().unwrap_or_default(), packing)?;
-        global.detail(format!("wrote {}", self.out.display()));
+        let report = self.write(&run, global)?;
         let data = Path::new(&run.resolved.run.data);
-        let again = OpenRun::open_with(gs_methods::registry(), &self.out, Some(data))?;
+        let mut again = OpenRun::open_with(gs_methods::registry(), &self.out, Some(data))?;
+        again.share = run.share.clone();
         let after = self.psnr(&again, dataset.as_ref())?;
+        // The first rank answers.
+        Ok(report.map_or_else(|| Answer::new(String::new(), json!(null)), |r| self.answer(&r, before, after)))
+    }
+
+    /// Writes the file on one rank, which gets its sizes.
+    fn write(&self, run: &OpenRun, global: &Global) -> Result<Option<CompactReport>, Failure> {
+        // Every rank finds its output free before one writes.
+        run.share.barrier()?;
+        let mut report = None;
+        if run.share.leads() {
+            let scene = CompactScene::of(&run.loaded.model, &run.loaded.config);
+            let packing = Packing { bits: self.bits.into(), deflate: !self.no_deflate };
+            let (settings, kept) = (run.resolved.config.table(), run.kept().unwrap_or_default());
+            report = Some(scene.write(&self.out, &run.loaded, &settings, &kept, packing)?);
+            global.detail(format!("wrote {}", self.out.display()));
+        }
+        run.share.barrier()?;
+        Ok(report)
+    }
+
+    /// What the file holds, and what it lost; PSNR in dB.
+    fn answer(&self, report: &CompactReport, before: Option<f64>, after: Option<f64>) -> Answer {
         let change = before.zip(after).map(|(b, a)| a - b);
         let mut text = report.to_text();
         if let (Some(before), Some(after), Some(change)) = (before, after, change) {
@@ -84,7 +103,7 @@ impl Compact {
         let mut json = json!(report);
         json["file"] = json!(self.out.display().to_string());
         json["psnr"] = json!({"before": before, "after": after, "change": change});
-        Ok(Answer::new(text, json))
+        Answer::new(text, json)
     }
 
     fn check_out(&self) -> Result<(), Failure> {

@@ -57,7 +57,7 @@ pub struct Export {
     /// Of a .gs4d file: bits per value, 32 exact, 16 half precision, 8 quantised; positions keep 16 [default: 8].
     #[arg(long, value_enum)]
     bits: Option<BitsName>,
-    /// Of a page or a .4dgs file: how far a splat may be displaced, as a share of its standard deviation in the image of the nearest camera [default: 0.1].
+    /// Of a page or a .4dgs file: how far a coordinate of a splat may be off, as a share of its standard deviation in the image of the nearest camera [default: 0.1].
     #[arg(long, value_name = "SHARE", value_parser = parse::positive)]
     tolerance: Option<f32>,
     /// Of a .glb: keep the motion. The rigid parts that `gs4d segment` finds lie under animated nodes, with key frames at the training

@@ -67,7 +67,7 @@ pub struct ForecastVerb {
     /// Folder for the frames, forecast.json and forecast.html; made if missing.
     #[arg(short, long, value_name = "DIR")]
     out: PathBuf,
-    /// Overwrite existing frames.
+    /// Overwrite existing files.
     #[arg(short, long)]
     force: bool,
     #[command(flatten)]
@@ -84,7 +84,9 @@ impl ForecastVerb {
         let from = self.from.map_or(last, f64::from);
         let times = times(from, f64::from(self.until), self.spacing(clock, interval))?;
         let files: Vec<PathBuf> = times.iter().enumerate().map(|(k, t)| self.out.join(file_name(k, *t))).collect();
+        let beside = [FILE, PAGE].map(|name| self.out.join(name));
         check_free(self.force, "frame", "folder", &files)?;
+        check_free(self.force, "file", "folder", &beside)?;
         // A track that cannot be followed is told before anything is scored.
         let followed = self.follow(&run.loaded.model, &path.at(0, 1), &dataset, run.loaded.scene.last_time)?;
         create_folder(&self.out)?;
@@ -127,11 +129,11 @@ impl ForecastVerb {
             followed,
         };
         let json = report.json(&self.run);
-        write_file(&self.out.join(FILE), true, |out| writeln!(out, "{json:#}"))?;
+        write_file(&beside[0], self.force, |out| writeln!(out, "{json:#}"))?;
         let html =
             page(&title(&self.run), report.moments.unwrap_or_default(), &strip, report.physics.as_ref(), &bodies);
         let html = html.map_err(gs4d_run::RunError::from)?;
-        write_file(&self.out.join(PAGE), true, |out| out.write_all(html.as_bytes()))?;
+        write_file(&beside[1], self.force, |out| out.write_all(html.as_bytes()))?;
         Ok(Answer::new(report.text(&self.out), json))
     }
 

@@ -11,7 +11,7 @@ use gs_train::device::Device;
 use gs4d_run::Training;
 use gs4d_view::{Feed, Options, Packing, REQUEST_TIME, Server, Show, Stage, ViewError, start};
 use serde_json::json;
-use std::net::{IpAddr, Ipv4Addr};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -107,7 +107,13 @@ impl View {
 /// Prints the address, also with `--quiet`: it is the result.
 fn announce(server: &Server, global: &Global) {
     to_stderr(format_args!("view   {}", server.url));
-    global.say(format!("       from another machine: ssh -L {0}:127.0.0.1:{0} THIS_HOST", server.address.port()));
+    tunnel(server.address).into_iter().for_each(|line| global.say(line));
+}
+
+/// How another machine reaches an address by ssh, where that leads to it.
+fn tunnel(address: SocketAddr) -> Option<String> {
+    let is_reached = address.ip() == Ipv4Addr::LOCALHOST || address.ip().is_unspecified();
+    is_reached.then(|| format!("       from another machine: ssh -L {0}:127.0.0.1:{0} THIS_HOST", address.port()))
 }
 
 /// Flags of verbs that train: the viewer of the running training.
@@ -173,6 +179,26 @@ impl From<ViewError> for Failure {
             ViewError::Device(e) => e.into(),
             ViewError::Threads(_) => Self::new(Class::Resource, "view.threads", text),
             ViewError::Nothing => Self::usage(text),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tunnel_is_named_only_where_it_leads_to_the_viewer() {
+        for (address, leads) in [
+            ("127.0.0.1:7007", true),
+            ("0.0.0.0:7007", true),
+            ("[::]:7007", true),
+            ("192.168.1.5:7007", false),
+            ("127.0.0.2:7007", false),
+            ("[::1]:7007", false),
+        ] {
+            let line = tunnel(address.parse().unwrap());
+            assert_eq!(line.is_some_and(|l| l.ends_with("ssh -L 7007:127.0.0.1:7007 THIS_HOST")), leads, "{address}");
         }
     }
 }

@@ -94,6 +94,13 @@ fn frames_after_the_last_training_time_are_drawn_and_scored() {
     assert!(page.contains("<svg") && page.contains("data:image/png"));
     let again = gs4d(&["forecast", text(run()), "--until", "1", "-o", text(&out)]);
     again.fails(6, &["exists already", "-f"]);
+    // Other frames would share the table and the page.
+    let other = ["forecast", text(run()), "--until", "1.31", "--frames", "1", "--no-scores", "-o", text(&out)];
+    for name in ["forecast.json", "forecast.html"] {
+        gs4d(&other).fails(6, &["the file exists already", name, "-f"]);
+        std::fs::remove_file(out.join(name)).unwrap();
+    }
+    good(&other);
 }
 
 #[test]

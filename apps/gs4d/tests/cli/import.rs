@@ -147,6 +147,30 @@ fn a_program_that_fails_is_quoted_and_what_was_done_is_kept() {
 
 #[cfg(unix)]
 #[test]
+fn files_of_others_stay_and_frames_that_are_missing_are_named() {
+    let desk = Desk::new().all();
+    fs::write(desk.at("lost"), "").unwrap();
+    let lost = |more: &[&str]| desk.import(more).fails(3, &["could not place cam01"]);
+    lost(&[]);
+    let [frame, mine, mask] = ["images/cam01/00005.jpg", "images/cam01/mine.jpg", "masks/cam01/00005.png"]
+        .map(|name| desk.at("data").join(name));
+    fs::rename(&frame, &mine).unwrap();
+    desk.import(&[]).fails(3, &["of 20 frames the image 00005 is missing", "cam01", "put it back"]);
+    desk.import(&["-f"]).fails(3, &["mine.jpg", "the import did not make it", "move them away"]);
+    desk.import(&["-f", "--masks", "data/images"]).fails(3, &["inside the data set"]);
+    assert!(mine.exists() && desk.at("data/images/cam00/00000.jpg").exists());
+    fs::remove_file(&mine).unwrap();
+    // Masks that somebody painted are nothing to an import without masks.
+    fs::create_dir_all(mask.parent().unwrap()).unwrap();
+    fs::write(&mask, "painted").unwrap();
+    lost(&["-f"]);
+    assert!(frame.exists() && mask.exists());
+    desk.import(&["-f", "--masks", "."]).fails(3, &["masks/cam01/00005.png", "move them away"]);
+    assert!(frame.exists() && mask.exists());
+}
+
+#[cfg(unix)]
+#[test]
 fn an_import_that_is_stopped_ends_its_programs_and_goes_on() {
     let desk = Desk::new().all();
     fs::write(desk.at("slow"), "").unwrap();

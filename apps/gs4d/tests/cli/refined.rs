@@ -39,6 +39,10 @@ fn films_from_disk_share_corrections_and_views_are_shown_with_them() {
     let scored = metrics["views"][0]["psnr"].as_f64().unwrap();
     let shown = rendered(&run, &data, &out);
     assert!((shown - scored).abs() < 0.01, "rendered as it was scored: {shown} {scored}");
+    // A compact file holds the corrections: it opens, and is scored alike.
+    let file = dir.path().join("small.gs4d");
+    let psnr = &good(&["export", text(&run), "-o", text(&file), "--bits", "32", "--json"]).json()["psnr"];
+    assert!(psnr["change"].as_f64().unwrap().abs() < 0.01, "{psnr}");
     // Where it stands is known from the scores.
     fs::remove_file(run.join("metrics.json")).unwrap();
     let given = rendered(&run, &data, &out);

@@ -324,7 +324,7 @@ pub(crate) const DOMAINS: &[Domain] = &[
     within("textures.geo", 8.0, 2048.0),
     within("textures.unproject", 8.0, 2048.0),
     within("unproject.depth_tolerance", 0.0, 1e6),
-    within("unproject.min_cos", 0.0, 1.0),
+    within("unproject.min_cos", -1.0, 1.0),
     within("unproject.min_weight", 0.0, 1.0),
     within("unproject.near", 1e-6, 1e6),
     within("unproject.ray_offset", 0.0, 1e6),

@@ -417,6 +417,8 @@ impl Dut {
             let through = |frame: &AvatarFrame| self.first(frame).and_then(|first| self.offsets(&first));
             let [gau] = self.actor.mean_textures([Some(&self.actor.gau)], through)?;
             self.actor.mean.gau = gau;
+            // Their light is relative to the mean colours.
+            self.firsts.clear();
         }
         Ok(())
     }

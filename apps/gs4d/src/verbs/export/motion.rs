@@ -46,9 +46,14 @@ pub(super) struct Source {
 }
 
 impl Source {
+    /// The last training time, normalised.
+    pub fn observed(&self) -> f32 {
+        self.kept.times.last().copied().unwrap_or(1.0)
+    }
+
     /// How long a unit of normalised time plays.
     pub fn seconds(&self) -> f64 {
-        self.kept.clock.filter(|[a, b]| *a < 0.0 || *b > 1.0).map_or(SECONDS, |[a, b]| b - a)
+        self.kept.seconds().map_or(SECONDS, |[start, end]| end - start)
     }
 }
 

@@ -17,20 +17,21 @@ pub(super) fn run(motion: &Motion, tolerance: Tolerance, global: &Global) -> Res
     let source = motion.open(global)?;
     let mut progress = Progress::new(source.times.len() as u64, "times", global.quiet);
     let baker = Baker::new(&source.run.loaded.model, &source.views, motion.sh_degree);
-    let made = baker.clip(&source.times, tolerance, &mut |k| progress.at(k as u64, || "baked".to_owned()))?;
+    let made = baker
+        .clip(&source.times, source.observed(), tolerance, &mut |k| progress.at(k as u64, || "baked".to_owned()))?;
     progress.finish();
     let title = motion.out.file_stem().map_or_else(|| "scene".to_owned(), |s| s.to_string_lossy().into_owned());
     let (kept, views) = (&source.kept, &source.views);
     let start = kept.held_out.first().or(views.first()).map_or_else(Start::default, |v| first_view(v, &made, views));
-    let page = Page { title, start, background: source.run.background(), clock: kept.clock };
+    let page = Page { title, start, background: source.run.background(), clock: kept.seconds() };
     let html = page.html(&made).map_err(ExportError::from)?;
     let bytes = motion.write(&source, |out| out.write_all(html.as_bytes()), global)?;
     let clip = gs4d_player::read(&String::from_utf8_lossy(&bytes)).map_err(ExportError::from)?;
     let loss = motion.loss(&source, &|time| Ok(clip.splats(time)))?;
     let (splats, frames, moving) = (clip.len(), clip.times().len(), clip.moving());
     let holds = format!(
-        "{splats} splats at {frames} times, {moving} of them move\nno splat is displaced by more than {} of its standard deviation in the \
-         image of the nearest camera\nopen it in any browser",
+        "{splats} splats at {frames} times, {moving} of them move\nno coordinate of a splat is off by more than {} of its standard deviation in \
+         the image of the nearest camera\nopen it in any browser",
         tolerance.0
     );
     let json = json!({

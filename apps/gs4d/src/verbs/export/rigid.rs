@@ -22,8 +22,7 @@ pub(super) fn run(
     let turn = turn(&source.views)?;
     let (first, seconds) = (source.times.first().copied().unwrap_or(0.0), source.seconds());
     let baker = Baker::new(&source.run.loaded.model, &source.views, motion.sh_degree).turned(turn);
-    let observed = source.kept.times.last().copied().unwrap_or(1.0);
-    let made = baker.rigid(&source.times, seconds, observed)?;
+    let made = baker.rigid(&source.times, seconds, source.observed())?;
     let bytes = motion.write(&source, |out| write_parts(&made.parts, out), global)?;
     let scene = read_scene(&bytes, &motion.out.display().to_string(), &global.limits())?;
     let loss = motion.loss(&source, &|time| baker.rigid_splats(&scene, seconds, first, time))?;

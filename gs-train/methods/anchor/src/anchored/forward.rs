@@ -118,7 +118,9 @@ impl Anchored {
         }
         let farthest = farthest(tape.splats.geometry(), tape.moved.view());
         let held = self.config.filter != Filter::Clean || f64::from(farthest) <= margin;
-        self.reach[0] = self.reach[0].max(farthest);
+        if farthest.is_finite() {
+            self.reach[0] = self.reach[0].max(farthest);
+        }
         held
     }
 

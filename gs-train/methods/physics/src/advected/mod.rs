@@ -149,11 +149,14 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
         if !self.config.field {
             return Span { from: 0.0, to: t };
         }
-        if t < step.max(start) || self.canonical.at.deform_only {
+        if self.canonical.at.deform_only {
             return Span { from: t, to: t };
         }
         if t > last_field {
             return Span { from: last_field, to: t };
+        }
+        if t < step.max(start) {
+            return Span { from: t, to: t };
         }
         let mut rng = Rng::new(self.canonical.seed(), "side-of-time", self.canonical.at.step, 0);
         let forward = rng.uniform() < 0.5;

@@ -165,6 +165,12 @@ fn training_reads_the_field_on_either_side_and_never_past_its_end() {
     assert!((m.training_span(0.75).from - 0.6).abs() < 1e-7);
     let late = method(PhysicsConfig { start: 0.4, ..CONFIG }, true);
     assert!(late.training_span(0.29).from == 0.29 && late.training_span(0.31).from >= 0.3 - 1e-7);
+    // A law that begins after the last time of the field is learnt where it draws.
+    let after = method(PhysicsConfig { start: 0.9, ..CONFIG }, true);
+    for t in [0.65, 0.7] {
+        assert_eq!(after.training_span(t), after.render_span(t));
+        assert!((after.training_span(t).from - 0.6).abs() < 1e-7);
+    }
     let bare = method(PhysicsConfig { field: false, ..CONFIG }, true);
     assert_eq!(bare.training_span(0.3), Span { from: 0.0, to: 0.3 });
 }
