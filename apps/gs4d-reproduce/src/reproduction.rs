@@ -268,7 +268,7 @@ mod tests {
         let root = tempfile::tempdir().unwrap();
         let table = || Table::find("fags", "dnerf").unwrap();
         let without = Reproduction::new(table(), conditions(root.path())).unwrap();
-        assert_eq!((without.scenes.len(), without.absent.len()), (6, 7));
+        assert_eq!((without.scenes.len(), without.absent.len()), (9, 7));
         assert!(without.scenes.iter().all(|s| matches!(s, Chosen::Generated(_))));
 
         std::fs::create_dir_all(root.path().join("captures/hook")).unwrap();

@@ -157,7 +157,7 @@ mod tests {
     /// Splats on a circle around a far centre, by an angle.
     fn ring(angle: f64) -> Splats {
         let at = |k: usize| {
-            let a = angle + k as f64;
+            let a = angle + std::f64::consts::FRAC_PI_3 * k as f64;
             DVec3::new(4.0 + 0.5 * a.cos(), 0.5 * a.sin(), 1.0).as_vec3()
         };
         Splats {
