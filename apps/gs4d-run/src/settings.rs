@@ -3,8 +3,11 @@
 //! Resolution: defaults ← preset ← file ← `--steps` ← `--set`. Lengths in steps (learning-rate decays, the times of density
 //! control and SH degrees: [`Scaling::Length`]) are shares of the run: where the run gets another length than the preset or file
 //! that states them, they are scaled with it, so a short run goes through all phases of a long one. `--steps N` scales the stages;
-//! what `--set` says is taken as it stands. A finished run is lengthened instead ([`lengthen`]): only its last stage grows,
-//! and shares of the run name the steps that they named, so the steps already made stay valid.
+//! what `--set` says is taken as it stands. A finished run is lengthened instead ([`lengthen()`]).
+
+mod lengthen;
+
+pub use lengthen::lengthen;
 
 use super::RunError;
 use crate::config::{Config, ConfigError, Source};
@@ -406,85 +409,6 @@ fn scaling(key: &str, own: &[Domain]) -> Scaling {
     domains::domain(key, own).filter(|_| !key.starts_with(STAGES)).map_or(Scaling::Fixed, |d| d.scaling)
 }
 
-/// A length that changes, and how many steps of it are made.
-#[derive(Clone, Copy)]
-struct Change {
-    was: u64,
-    now: u64,
-    done: u64,
-}
-
-impl Change {
-    /// The share that names the same step.
-    fn same_step(self, share: f64) -> f64 {
-        share * self.was as f64 / self.now as f64
-    }
-
-    /// Whether a step was made for which a share was over.
-    fn passed(self, share: f64) -> bool {
-        self.done > 0 && (self.done - 1) as f64 >= share * self.was as f64
-    }
-}
-
-/// Shares with which what has begun stays as it is, where the run and its stage `last` get another length.
-fn kept_shares(config: &Config, last: &str, run: Change, stage: Change) -> Vec<(String, f64)> {
-    let number = |key: &str| config.get(key).and_then(|s| s.value.as_float());
-    let mut kept = Vec::new();
-    // Images that were let in stay in; what learns after a share of the run goes on.
-    let window = last.replace(".steps", ".window_until");
-    for (key, length) in [(window.as_str(), stage), ("schedule.exposure.after", run), ("cameras.after", run)] {
-        kept.extend(number(key).map(|share| (key.to_owned(), length.same_step(share))));
-    }
-    // A rate that falls to a share at the end of the run goes on falling as it did.
-    if let (Some(after), Some(end)) = (number("cameras.after"), number("cameras.rate_end"))
-        && run.passed(after)
-    {
-        let begin = after * run.was as f64;
-        let longer = (run.now as f64 - begin) / (run.was as f64 - begin);
-        kept.push(("cameras.rate_end".to_owned(), end.powf(longer)));
-    }
-    // Shares of every stage stay what they are, unless this one is past them.
-    for key in ["still.from", "still.until"] {
-        let passed = number(key).filter(|share| stage.passed(*share));
-        kept.extend(passed.map(|share| (key.to_owned(), stage.same_step(share))));
-    }
-    let settle = number("physics.settle").filter(|share| *share > 0.0 && stage.passed(1.0 - share));
-    kept.extend(settle.map(|share| ("physics.settle".to_owned(), 1.0 - stage.same_step(1.0 - share))));
-    kept
-}
-
-/// Changes the run to `total` steps by the length of its last stage. Shares of the run, and of that stage, name the steps that they
-/// named, where their domains allow it.
-///
-/// # Errors
-/// If `done` steps were made already and more than `total`, or the last stage would begin after `total`.
-pub fn lengthen(resolved: &Resolved, total: u32, done: u32) -> Result<Resolved, RunError> {
-    let stages: Vec<(String, u64)> = stages(&resolved.config).into_iter().filter(|s| s.1 > 0).collect();
-    let Some(((last, was), earlier)) = stages.split_last() else {
-        return Err(RunError::Steps("the recipe has no steps".into()));
-    };
-    let before: u64 = earlier.iter().map(|s| s.1).sum();
-    if total < done || u64::from(total) <= before {
-        let least = u64::from(done).max(before + 1);
-        return Err(RunError::Steps(format!(
-            "--steps {total} is not possible: {done} steps are made, at least {least}"
-        )));
-    }
-    let mut config = resolved.config.clone();
-    let (now, source) = (u64::from(total) - before, Source::Flag(format!("resume --steps {total}")));
-    config.put(last, now as i64, source.clone())?;
-    let done = u64::from(done);
-    let stage = Change { was: *was, now, done: done.saturating_sub(before) };
-    let run = Change { was: before + was, now: total.into(), done };
-    let own = resolved.registry.find(&resolved.run.method)?.domains;
-    let shares = if now == *was { Vec::new() } else { kept_shares(&config, last, run, stage) };
-    for (key, share) in shares {
-        let share = domains::domain(&key, own).map_or(share, |d| share.clamp(d.low, d.high));
-        config.put(&key, share, source.clone())?;
-    }
-    Resolved::of(&resolved.registry, config)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -602,73 +526,6 @@ mod tests {
         let [plain, _] = rate(None, &[]);
         assert_eq!((rate(Some(1600), &[]), rate(Some(1), &[])), ([plain / 2.0; 2], [5e-2; 2]), "of 800 steps");
         assert_eq!(rate(Some(1600), &["schedule.lr.cloud.lambda.start=0.3"]), [0.3, plain / 2.0]);
-    }
-
-    #[test]
-    fn lengthening_touches_the_last_stage_and_shares_of_the_run_only() {
-        let plain = resolve(gs_methods::registry(), &request(&[])).unwrap();
-        let changed = |other: &Resolved| {
-            let pairs = other.config.iter().zip(plain.config.iter());
-            pairs.filter(|(a, b)| a.1.value != b.1.value).map(|(a, _)| a.0.to_owned()).collect::<Vec<_>>()
-        };
-        let long = lengthen(&plain, 450, 300).unwrap();
-        assert_eq!(long.steps(), 450);
-        let shares = ["cameras.after", "cameras.rate_end", "schedule.exposure.after"];
-        assert_eq!(changed(&long), [&shares[..], &["schedule.stages.all.steps"]].concat());
-        assert!(changed(&lengthen(&plain, 300, 300).unwrap()).is_empty());
-        assert!(lengthen(&plain, 200, 250).unwrap_err().to_string().contains("at least 250"));
-    }
-
-    /// Settings of a method, the steps of its run and of its last stage.
-    fn of_method(method: &str, sets: &[&str]) -> (Resolved, u32, f64) {
-        let request = Request { method: method.into(), ..request(sets) };
-        let resolved = resolve(gs_methods::registry(), &request).unwrap();
-        let (steps, last) = (resolved.steps(), stages(&resolved.config).last().unwrap().1);
-        assert!(last < steps, "{method} has stages");
-        (resolved, u32::try_from(steps).unwrap(), last as f64)
-    }
-
-    fn assert_shares(resolved: &Resolved, want: &[(&str, f64)]) {
-        for (key, want) in want {
-            let got = resolved.config.get(key).unwrap().value.as_float().unwrap();
-            assert!((got - want).abs() < 1e-12, "{key}: {got} {want}");
-        }
-    }
-
-    #[test]
-    fn what_has_begun_stays_begun_in_a_longer_run() {
-        let [after, end, maps] = ["cameras.after", "cameras.rate_end", "schedule.exposure.after"];
-        let (from, until) = ("still.from", "still.until");
-        let sets = ["cameras.after=0.2", "cameras.rate_end=0.1", "schedule.exposure.after=0.3"];
-        let sets = [&sets[..], &["still.from=0.25", "still.until=0.75"]].concat();
-        let (plain, steps, last) = of_method("defgs", &sets);
-        let share = last / (last + f64::from(steps));
-        let falls = 0.1f64.powf(1.8 / 0.8);
-        assert!((falls.powf(0.8 / 1.8) - 0.1).abs() < 1e-12, "where the shorter run ends, the rate is the same");
-        let finished = lengthen(&plain, 2 * steps, steps).unwrap();
-        assert_shares(
-            &finished,
-            &[(after, 0.1), (end, falls), (maps, 0.15), (from, 0.25 * share), (until, 0.75 * share)],
-        );
-        // Half of the last stage is made.
-        let half = lengthen(&plain, 2 * steps, steps - last as u32 / 2).unwrap();
-        assert_shares(&half, &[(after, 0.1), (end, falls), (maps, 0.15), (from, 0.25 * share), (until, 0.75)]);
-        let unborn = lengthen(&plain, 2 * steps, 0).unwrap();
-        assert_shares(&unborn, &[(after, 0.1), (end, 0.1), (maps, 0.15), (from, 0.25), (until, 0.75)]);
-    }
-
-    #[test]
-    fn shares_of_the_end_go_on_and_shares_of_a_shorter_run_stay_in_their_domains() {
-        let settle = "physics.settle";
-        let (plain, steps, last) = of_method("trace", &["physics.settle=0.25"]);
-        let share = last / (last + f64::from(steps));
-        for (done, want) in [(steps, 1.0 - 0.75 * share), (steps / 2, 0.25)] {
-            assert_shares(&lengthen(&plain, 2 * steps, done).unwrap(), &[(settle, want)]);
-        }
-        let (never, ..) = of_method("trace", &["physics.settle=0"]);
-        assert_shares(&lengthen(&never, 2 * steps, steps).unwrap(), &[(settle, 0.0)]);
-        let (late, ..) = of_method("trace", &["schedule.exposure.after=0.95"]);
-        assert_shares(&lengthen(&late, steps - steps / 10, 0).unwrap(), &[("schedule.exposure.after", 1.0)]);
     }
 
     #[test]

@@ -6,6 +6,7 @@ mod layouts;
 mod llff;
 mod maps;
 mod nerfies;
+mod nerfstudio;
 mod nvfi;
 mod nvidia;
 mod panoptic;
