@@ -49,7 +49,7 @@ pub fn render_backward_into<'a>(
     grad: &mut SplatsGrad,
     stats: &mut ScreenStats,
 ) {
-    backward::<()>(splats.into(), camera, options, workspace, d, grad, stats);
+    backward_of_splats(splats.into(), camera, options, workspace, d, grad, stats);
 }
 
 /// [`render_backward_into`], and the gradient with respect to the camera's pose and intrinsics. `grad` and `stats` get the
@@ -80,7 +80,34 @@ pub fn render_backward_with_camera<'a>(
     grad: &mut SplatsGrad,
     stats: &mut ScreenStats,
 ) -> CameraGrad {
-    backward(splats.into(), camera, options, workspace, d, grad, stats)
+    backward_of_camera(splats.into(), camera, options, workspace, d, grad, stats)
+}
+
+/// [`backward`] without the camera. This function and the next are compiled here, once; what is called from a generic function
+/// would be compiled in every crate that calls that.
+fn backward_of_splats(
+    splats: SplatsRef<'_>,
+    camera: &Camera,
+    options: &RasterOptions,
+    w: &mut Workspace,
+    d: &FrameGrad,
+    grad: &mut SplatsGrad,
+    stats: &mut ScreenStats,
+) {
+    backward::<()>(splats, camera, options, w, d, grad, stats);
+}
+
+/// [`backward`] with the camera.
+fn backward_of_camera(
+    splats: SplatsRef<'_>,
+    camera: &Camera,
+    options: &RasterOptions,
+    w: &mut Workspace,
+    d: &FrameGrad,
+    grad: &mut SplatsGrad,
+    stats: &mut ScreenStats,
+) -> CameraGrad {
+    backward(splats, camera, options, w, d, grad, stats)
 }
 
 fn backward<C: CameraSum>(

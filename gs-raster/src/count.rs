@@ -31,7 +31,11 @@ pub fn blend_counts<'a>(
     options: &RasterOptions,
     workspace: &mut Workspace,
 ) -> Vec<u32> {
-    let splats = splats.into();
+    counts_of(splats.into(), options, workspace)
+}
+
+/// The same, compiled here once and not in every crate that calls a generic function.
+fn counts_of(splats: SplatsRef<'_>, options: &RasterOptions, workspace: &mut Workspace) -> Vec<u32> {
     if splats.kernel.is_neutral() {
         return counts(Gaussian, options, workspace);
     }

@@ -6,6 +6,7 @@
 //! Ground truth is [`Dataset::extrapolate`]: its views up to the last time are scored, and a rendered frame with the camera and
 //! time of such a view has that view's scores.
 
+use crate::Placing;
 use gs_core::{Camera, Image, Time, cast};
 use gs_data::{DataError, Dataset, ImageCache, Split};
 use gs_train::evaluate::{EvalError, EvalReport, ViewScores, clamped, evaluate};
@@ -174,7 +175,8 @@ pub struct Truth {
 }
 
 impl Truth {
-    /// Scores the views of [`Dataset::extrapolate`] up to a normalised time; `None` if there are none.
+    /// Scores the views of [`Dataset::extrapolate`] up to a normalised time; `None` if there are none. `placed` gives their
+    /// cameras as [`CameraPath`] has them.
     ///
     /// # Errors
     /// If an image cannot be read or a frame is not finite.
@@ -184,6 +186,7 @@ impl Truth {
         until: f64,
         background: [f32; 3],
         images: &ImageCache,
+        placed: &Placing<'_>,
     ) -> Result<Option<Self>, EvalError> {
         let known = dataset.extrapolate.iter().filter(|v| f64::from(v.time.normalised) <= until + 1e-6);
         let known = Dataset { extrapolate: known.cloned().collect(), ..dataset.without_views() };
@@ -191,7 +194,7 @@ impl Truth {
             return Ok(None);
         }
         let report = evaluate(method, &known, Split::Extrapolate, background, images)?;
-        let cameras = known.extrapolate.iter().map(|v| images.camera(v)).collect();
+        let cameras = known.extrapolate.iter().map(|v| images.camera(&placed(v))).collect();
         Ok(Some(Self { report, cameras }))
     }
 

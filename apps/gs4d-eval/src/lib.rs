@@ -21,3 +21,6 @@ pub mod spread;
 pub mod stage_motion;
 pub mod temporal;
 pub mod track;
+
+/// A view as it is rendered: with the camera and time that were learnt for it, where cameras were refined.
+pub type Placing<'a> = dyn Fn(&gs_data::View) -> gs_data::View + 'a;

@@ -11,6 +11,7 @@ use gs_train::model::Model;
 use gs_train::registry::section;
 use gs_train::step::StepCtx;
 use gs_train::timestamp::Timestamp;
+use gs4d_eval::Placing;
 use gs4d_eval::segment::*;
 use gs4d_report::needs::neutral_camera;
 
@@ -69,8 +70,12 @@ impl Cast {
     }
 
     fn study(&self, labels: &Labels) -> Scores {
+        self.study_from(labels, &View::clone)
+    }
+
+    fn study_from(&self, labels: &Labels, placed: &Placing<'_>) -> Scores {
         let truth = TrueLabels::Scene(Box::new(self.data.truth.clone()));
-        let cache = (&ImageCache::new(1 << 20, 1.0), [0.0; 3]);
+        let rendering = (&ImageCache::new(1 << 20, 1.0), [0.0; 3], placed);
         let mut views = 0;
         let each = |seen: ViewMask<'_>| {
             views += 1;
@@ -79,7 +84,7 @@ impl Cast {
             Ok::<(), SegmentError>(())
         };
         let scores =
-            study(&self.model(), labels, ("train", &self.data.dataset.train), Some(&truth), cache, each).unwrap();
+            study(&self.model(), labels, ("train", &self.data.dataset.train), Some(&truth), rendering, each).unwrap();
         assert_eq!(views, 6);
         scores.unwrap()
     }
@@ -159,6 +164,20 @@ fn bodies_are_found_from_their_twists() {
             assert!(masks.f1 == 1.0 && masks.miou > 0.95, "{scene} {count:?}: {masks:?}");
         }
     }
+}
+
+/// Masks are drawn from where views are placed, and held against the truth where the data have them.
+#[test]
+fn views_are_drawn_where_they_are_placed() {
+    let cast = Cast::new("projectile", Some(0.05));
+    let labels = cast.segment(&Options { count: Count::Fixed(2), ..Options::default() });
+    let aside = |view: &View| {
+        let mut view = view.clone();
+        view.camera.translation.x += 0.3;
+        view
+    };
+    let (right, off) = (cast.study(&labels).miou, cast.study_from(&labels, &aside).miou);
+    assert!(right > 0.95 && off < 0.8, "{right} {off}");
 }
 
 /// A thrown ball, a rolling wheel, a block that rises and turns, and a slab at rest: four parts, with and without their number.

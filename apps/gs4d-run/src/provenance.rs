@@ -40,6 +40,8 @@ pub(crate) struct DataOrigin {
     pub(crate) layout: &'static str,
     /// Hash of names, cameras, times, image paths and parts of the images of all views.
     pub(crate) digest: String,
+    /// Hash of normalised times, lenses and parts of the depth maps of all views.
+    pub(crate) details: String,
     /// Source of the times, in words.
     pub(crate) time_source: String,
     /// Numbers of training, validation and test views.
@@ -76,6 +78,7 @@ impl DataOrigin {
             root: dataset.root.display().to_string(),
             layout: dataset.layout,
             digest: digest(dataset),
+            details: details(dataset),
             time_source: dataset.time_source.clone(),
             views: [dataset.train.len(), dataset.val.len(), dataset.test.len()],
             extrapolate: dataset.extrapolate.len(),
@@ -120,13 +123,15 @@ pub(crate) fn resumed(
         let warnings = vec![format!("{PROVENANCE} cannot be read: whether the data are the same is not known")];
         return Ok(Session { provenance: None, warnings });
     };
-    let (machine, digest) = (Machine::here(), DataOrigin::of(dataset).digest);
+    let (machine, DataOrigin { digest, details, .. }) = (Machine::here(), DataOrigin::of(dataset));
     let last = provenance["resumed"].as_array().and_then(|a| a.last()).unwrap_or(&Value::Null);
     let before = |of_last: &Value, at_first: &Value| of_last.as_str().or(at_first.as_str()).map(str::to_owned);
     let known_digest = before(&last["digest"], &provenance["data"]["digest"]);
+    // Older runs have none.
+    let known_details = before(&last["details"], &provenance["data"]["details"]);
     let known_simd = before(&last["machine"]["simd"], &provenance["machine"]["simd"]);
     let mut warnings = Vec::new();
-    if known_digest.is_some_and(|known| known != digest) {
+    if known_digest.is_some_and(|known| known != digest) || known_details.is_some_and(|known| known != details) {
         if !accept_changed_data {
             return Err(RunError::DataChanged { path: dataset.root.clone() });
         }
@@ -141,7 +146,7 @@ pub(crate) fn resumed(
     }
     if let Some(map) = provenance.as_object_mut() {
         let sessions = map.entry("resumed").or_insert_with(|| json!([]));
-        let session = json!({"step": step, "at": now_utc(), "machine": machine, "digest": digest});
+        let session = json!({"step": step, "at": now_utc(), "machine": machine, "digest": digest, "details": details});
         sessions.as_array_mut().into_iter().for_each(|s| s.push(session.clone()));
     }
     Ok(Session { provenance: Some(format!("{provenance:#}\n")), warnings })
@@ -203,12 +208,8 @@ fn sample(path: &Path) -> Vec<u8> {
 /// 64-bit FNV-1a over names, cameras, times, image paths (relative to the folder) and parts of the images of all views: the
 /// same for the same data wherever the folder stands.
 fn digest(dataset: &Dataset) -> String {
-    let mut hash = 0xcbf2_9ce4_8422_2325u64;
-    let mut feed = |bytes: &[u8]| {
-        for &b in bytes {
-            hash = (hash ^ u64::from(b)).wrapping_mul(0x0000_0100_0000_01b3);
-        }
-    };
+    let mut hash = Fnv::default();
+    let mut feed = |bytes: &[u8]| hash.feed(bytes);
     feed(dataset.layout.as_bytes());
     for (split, views) in [(0u8, &dataset.train), (1, &dataset.val), (2, &dataset.test), (3, &dataset.extrapolate)] {
         for view in views {
@@ -231,7 +232,39 @@ fn digest(dataset: &Dataset) -> String {
             }
         }
     }
-    format!("{hash:016x}")
+    hash.text()
+}
+
+/// The same over normalised times, lenses and parts of the depth maps of all views.
+fn details(dataset: &Dataset) -> String {
+    let mut hash = Fnv::default();
+    for view in [&dataset.train, &dataset.val, &dataset.test, &dataset.extrapolate].into_iter().flatten() {
+        hash.feed(&view.time.normalised.to_bits().to_le_bytes());
+        view.lens.unwrap_or_default().to_array().iter().for_each(|k| hash.feed(&k.to_bits().to_le_bytes()));
+        view.depth.iter().for_each(|map| hash.feed(&sample(&map.file)));
+    }
+    hash.text()
+}
+
+/// 64-bit FNV-1a.
+struct Fnv(u64);
+
+impl Default for Fnv {
+    fn default() -> Self {
+        Self(0xcbf2_9ce4_8422_2325)
+    }
+}
+
+impl Fnv {
+    fn feed(&mut self, bytes: &[u8]) {
+        for &b in bytes {
+            self.0 = (self.0 ^ u64::from(b)).wrapping_mul(0x0000_0100_0000_01b3);
+        }
+    }
+
+    fn text(&self) -> String {
+        format!("{:016x}", self.0)
+    }
 }
 
 fn cpu_name() -> String {

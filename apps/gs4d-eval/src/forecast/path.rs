@@ -1,6 +1,7 @@
 //! Camera paths of a forecast: fixed, along a list, or around the scene.
 
 use super::ForecastError;
+use crate::Placing;
 use glam::{DMat3, DVec3};
 use gs_core::Camera;
 use gs_data::{Dataset, ImageCache, View, geometry::focus};
@@ -24,12 +25,17 @@ pub enum CameraPath {
 
 impl CameraPath {
     /// The fixed camera of a view, by name; without a name of the first extrapolation view, else test, validation or training
-    /// view.
+    /// view. `placed` gives a view as it is rendered: where its camera was refined.
     ///
     /// # Errors
     /// If no view has that name, or there are none.
-    pub fn of_view(dataset: &Dataset, name: Option<&str>, images: &ImageCache) -> Result<Self, ForecastError> {
-        Ok(Self::List(vec![images.camera(view(dataset, name)?)]))
+    pub fn of_view(
+        dataset: &Dataset,
+        name: Option<&str>,
+        images: &ImageCache,
+        placed: &Placing<'_>,
+    ) -> Result<Self, ForecastError> {
+        Ok(Self::List(vec![images.camera(&placed(view(dataset, name)?))]))
     }
 
     /// One turn around the focus of the training cameras, about the mean of their up directions, from the camera of
@@ -37,8 +43,8 @@ impl CameraPath {
     ///
     /// # Errors
     /// If there are no views.
-    pub fn orbit(dataset: &Dataset, images: &ImageCache) -> Result<Self, ForecastError> {
-        let start = images.camera(view(dataset, None)?);
+    pub fn orbit(dataset: &Dataset, images: &ImageCache, placed: &Placing<'_>) -> Result<Self, ForecastError> {
+        let start = images.camera(&placed(view(dataset, None)?));
         let up: DVec3 = dataset.train.iter().map(|v| -v.camera.rotation.transpose().y_axis).sum();
         let axis = up.try_normalize().unwrap_or(-start.rotation.transpose().y_axis);
         Ok(Self::Orbit { start, centre: focus(&dataset.train), axis })
@@ -79,7 +85,7 @@ mod tests {
         let options = SynthOptions::of_views(8, 12, 2);
         let data = generate("balls", &options).unwrap().dataset;
         let cache = ImageCache::new(0, 1.0);
-        let path = CameraPath::orbit(&data, &cache).unwrap();
+        let path = CameraPath::orbit(&data, &cache, &View::clone).unwrap();
         let CameraPath::Orbit { start, centre, axis } = &path else { panic!("an orbit") };
         let place = |c: &Camera| {
             let p = c.to_camera(*centre);
@@ -96,8 +102,11 @@ mod tests {
         }
         assert!((path.at(4, 8).position() - start.position()).length() > depth, "half a turn is the other side");
         assert!((path.at(8, 8).position() - start.position()).length() < 1e-9);
-        assert_eq!(CameraPath::of_view(&data, None, &cache).unwrap().at(3, 5), cache.camera(&data.test[0]));
-        let e = CameraPath::of_view(&data, Some("none"), &cache).unwrap_err();
+        assert_eq!(
+            CameraPath::of_view(&data, None, &cache, &View::clone).unwrap().at(3, 5),
+            cache.camera(&data.test[0])
+        );
+        let e = CameraPath::of_view(&data, Some("none"), &cache, &View::clone).unwrap_err();
         assert!(e.to_string().contains("no view is named \"none\"; there are r_000"), "{e}");
     }
 

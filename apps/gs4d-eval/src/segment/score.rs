@@ -7,6 +7,7 @@ use gs_metrics::{Overlap, SegmentScores, Segmentation};
 use serde::Serialize;
 
 use super::{Labels, Mask, Masker, SegmentError, TrueLabels, color};
+use crate::Placing;
 use gs_data::{ImageCache, View};
 use gs_train::evaluate::clamped;
 use gs_train::model::Model;
@@ -83,7 +84,8 @@ impl ViewMask<'_> {
 }
 
 /// Renders the mask of every view, in order, scores those that have ground truth, and passes each to `each`. `None` without
-/// ground truth. `split` is the name of the views' split, for folders of label images.
+/// ground truth. `split` is the name of the views' split, for folders of label images. `placed` gives a view as it is rendered:
+/// where its camera was refined, at its own time; its truth is that of the data's view.
 ///
 /// # Errors
 /// If labels cannot be read or have the wrong shape; and whatever `each` returns.
@@ -92,16 +94,17 @@ pub fn study<'a, E: From<SegmentError>>(
     labels: &Labels,
     (split, views): (&str, &'a [View]),
     truth: Option<&TrueLabels>,
-    (images, background): (&ImageCache, [f32; 3]),
+    (images, background, placed): (&ImageCache, [f32; 3], &Placing<'_>),
     mut each: impl FnMut(ViewMask<'_>) -> Result<(), E>,
 ) -> Result<Option<Scores>, E> {
     let options = method.raster_options(background);
     let (mut masker, mut renderer) = (Masker::new(options.clone()), Renderer::new(options));
     let mut render_mask = |view: &'a View| -> Result<_, SegmentError> {
-        let camera = images.camera(view);
-        let splats = method.all_splats(&Timestamp::new(view.time), &camera)?;
+        let shown = placed(view);
+        let camera = images.camera(&shown);
+        let splats = method.all_splats(&Timestamp::new(shown.time), &camera)?;
         let mask = masker.draw(&splats, &labels.of, labels.k, &camera)?;
-        let truth = truth.map(|t| t.of(view, split, &camera)).transpose()?.flatten();
+        let truth = truth.map(|t| t.of(view, split, &images.camera(view))).transpose()?.flatten();
         Ok((mask, truth, splats, camera))
     };
     let mut overlap = Overlap::default();

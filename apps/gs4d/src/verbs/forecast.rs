@@ -10,7 +10,7 @@ use crate::progress::Progress;
 use gs_core::Camera;
 use gs_core::io::images::save_png;
 use gs_core::io::{Limits, cameras::load_cameras, write_file};
-use gs_data::Dataset;
+use gs_data::{Dataset, View};
 use gs_train::capabilities::RigidBody;
 use gs_train::model::Model;
 use gs_train::renderer::Renderer;
@@ -138,12 +138,13 @@ impl ForecastVerb {
     }
 
     fn path(&self, run: &OpenRun, dataset: &Dataset) -> Result<CameraPath, Failure> {
-        let images = run.images();
+        let (images, placed) = (run.images(), run.placed());
+        let placed = |view: &View| placed.held_out(view);
         Ok(match self.camera.as_deref() {
-            None => CameraPath::of_view(dataset, None, &images)?,
-            Some("orbit") => CameraPath::orbit(dataset, &images)?,
+            None => CameraPath::of_view(dataset, None, &images, &placed)?,
+            Some("orbit") => CameraPath::orbit(dataset, &images, &placed)?,
             Some(text) => match text.strip_prefix("view:") {
-                Some(name) => CameraPath::of_view(dataset, Some(name), &images)?,
+                Some(name) => CameraPath::of_view(dataset, Some(name), &images, &placed)?,
                 None => {
                     let cameras = load_cameras(Path::new(text), &Limits::default())?;
                     if cameras.is_empty() {
@@ -181,8 +182,8 @@ impl ForecastVerb {
         if self.no_scores {
             return Ok(None);
         }
-        let (method, until) = (&run.loaded.model, f64::from(self.until));
-        Ok(Truth::of(method, dataset, until, run.background(), &run.images())?)
+        let (method, until, placed) = (&run.loaded.model, f64::from(self.until), run.placed());
+        Ok(Truth::of(method, dataset, until, run.background(), &run.images(), &|view| placed.held_out(view))?)
     }
 }
 

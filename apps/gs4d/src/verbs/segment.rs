@@ -14,6 +14,7 @@ use gs_data::{Dataset, Split, View};
 use gs_synth as synth;
 use gs_train::evaluate::split_name;
 use gs_train::renderer::file_stem;
+use gs4d_eval::Placing;
 use gs4d_eval::segment::{
     self, Complexity, Count, Feature, Labels, Options, Part, Scores, SegmentError, Source, TrueLabels, ViewMask, parts,
     scene_complexity, study,
@@ -125,7 +126,9 @@ impl Segment {
         let truth = self.truth(&run, &views);
         let mut progress = Progress::new(views.len() as u64, "views", global.quiet);
         let mut done = 0;
-        let rendering = (&run.images(), run.background());
+        let placed = run.placed();
+        let place = |view: &View| placed.held_out(view);
+        let rendering = (&run.images(), run.background(), &place as &Placing<'_>);
         let scores = study(method, &labels, (split_name(split), &views), truth.as_ref(), rendering, |seen| {
             self.save(&seen, &names[done])?;
             done += 1;

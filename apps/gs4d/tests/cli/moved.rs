@@ -85,6 +85,12 @@ fn resuming_with_other_data_is_refused_or_kept_in_the_provenance() {
     fs::write(&json, views).unwrap();
     assert_eq!(resume("44", &["--accept-changed-data"]).code, 0);
     assert_eq!(resume("46", &[]).code, 0, "the same data as the last time");
+    // The same seconds at other normalised times are other data.
+    let scene = data.join("scene.toml");
+    let text_of = fs::read_to_string(&scene).unwrap_or_default();
+    fs::write(&scene, format!("{text_of}\n[time]\nrange = \"0..2\"\n")).unwrap();
+    resume("48", &[]).fails(3, &["data.changed"]);
+    fs::write(&scene, text_of).unwrap();
     let provenance: Value = serde_json::from_slice(&bytes(&run.join("provenance.json"))).unwrap();
     let digests: Vec<&str> =
         provenance["resumed"].as_array().unwrap().iter().filter_map(|s| s["digest"].as_str()).collect();

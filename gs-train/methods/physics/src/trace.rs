@@ -101,7 +101,10 @@ impl<F> Config<F> {
     /// What may be left out.
     fn parts() -> [Part<Self>; 3] {
         [
-            ("field", |c| c.physics.field = false),
+            ("field", |c| {
+                c.physics.field = false;
+                c.schedule.stages.values_mut().for_each(|stage| stage.field_alone = false);
+            }),
             ("physics", |c| c.law.form = LawForm::Free),
             ("equivalent", |c| {
                 // The gain counts for velocities; it would multiply the centre, too.
@@ -134,10 +137,18 @@ where
     let field = field(&config).map_err(|e| wrong(e.to_string()))?;
     let origin = 0.5 * (scene.bounds[0] + scene.bounds[1]);
     let step = config.physics.step(scene);
-    let law = Law::new(&config.law, origin, step, scene.seed).map_err(|e| wrong(e.to_string()))?;
+    let law = Law::new(&of_a_view(config.law, config.schedule.batch), origin, step, scene.seed)
+        .map_err(|e| wrong(e.to_string()))?;
     let canonical = Canonical::new(&config.cloud, &mut config.schedule, scene)?;
     let method = Advected::new(canonical, field, law, config.physics, scene).map_err(wrong)?;
     Model::new(name, method, config.schedule)
+}
+
+/// The law as one of the views of a step sees it. Their image losses are averaged, so what each adds to the gradient for the law alone,
+/// and the length at which its gradient is cut, have its share.
+fn of_a_view(law: LawConfig, batch: u32) -> LawConfig {
+    let share = 1.0 / batch.max(1) as f32;
+    LawConfig { spin_up_weight: share * law.spin_up_weight, accel_clamp: share * law.accel_clamp, ..law }
 }
 
 fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
