@@ -70,7 +70,6 @@ fn all(preset: &str, shares: &[f64], only: impl Fn(&MethodEntry) -> bool) {
 fn short_recipes_draw_every_view_and_no_stage_undoes_the_one_before() {
     all("fast", &[0.01], |_| true);
     all("tiny", &[0.1], |_| true);
-    all("tiny", &[1.0], |method| !method.needs_avatar);
 }
 
 /// One long test a method, so that they run side by side and by name.
@@ -81,6 +80,7 @@ macro_rules! any_length {
             #[ignore = "long: RAYON_NUM_THREADS=1 cargo test --release -p gs4d-run --test lengths -- --ignored"]
             fn $name() {
                 all("fast", &[0.01, 0.1, 1.0, 3.0], |method| method.name == $method);
+                all("tiny", &[1.0], |method| method.name == $method && !method.needs_avatar);
             }
         )*
 
