@@ -49,7 +49,7 @@ pub fn render_backward_into<'a>(
     grad: &mut SplatsGrad,
     stats: &mut ScreenStats,
 ) {
-    backward_of_splats(splats.into(), camera, options, workspace, d, grad, stats);
+    backward(splats.into(), camera, options, workspace, d, (grad, stats), None);
 }
 
 /// [`render_backward_into`], and the gradient with respect to the camera's pose and intrinsics. `grad` and `stats` get the
@@ -80,45 +80,22 @@ pub fn render_backward_with_camera<'a>(
     grad: &mut SplatsGrad,
     stats: &mut ScreenStats,
 ) -> CameraGrad {
-    backward_of_camera(splats.into(), camera, options, workspace, d, grad, stats)
+    let mut camera_grad = CameraGrad::default();
+    backward(splats.into(), camera, options, workspace, d, (grad, stats), Some(&mut camera_grad));
+    camera_grad
 }
 
-/// [`backward`] without the camera. This function and the next are compiled here, once; what is called from a generic function
-/// would be compiled in every crate that calls that.
-fn backward_of_splats(
+/// The gradient of the camera where it is asked for. Not generic, as those that call it are: it is compiled here, and not in every crate
+/// that calls them.
+fn backward(
     splats: SplatsRef<'_>,
     camera: &Camera,
     options: &RasterOptions,
     w: &mut Workspace,
     d: &FrameGrad,
-    grad: &mut SplatsGrad,
-    stats: &mut ScreenStats,
+    (grad, stats): (&mut SplatsGrad, &mut ScreenStats),
+    camera_grad: Option<&mut CameraGrad>,
 ) {
-    backward::<()>(splats, camera, options, w, d, grad, stats);
-}
-
-/// [`backward`] with the camera.
-fn backward_of_camera(
-    splats: SplatsRef<'_>,
-    camera: &Camera,
-    options: &RasterOptions,
-    w: &mut Workspace,
-    d: &FrameGrad,
-    grad: &mut SplatsGrad,
-    stats: &mut ScreenStats,
-) -> CameraGrad {
-    backward(splats, camera, options, w, d, grad, stats)
-}
-
-fn backward<C: CameraSum>(
-    splats: SplatsRef<'_>,
-    camera: &Camera,
-    options: &RasterOptions,
-    w: &mut Workspace,
-    d: &FrameGrad,
-    grad: &mut SplatsGrad,
-    stats: &mut ScreenStats,
-) -> C {
     debug_assert_eq!((w.grid.width, w.grid.height), (camera.width as usize, camera.height as usize));
     allocate_records(w);
     let depth = !d.depth.is_empty();
@@ -136,7 +113,10 @@ fn backward<C: CameraSum>(
         }
     }
     assign_ranks(splats.len(), w);
-    splats_backward(splats, options, w, grad, stats)
+    match camera_grad {
+        None => splats_backward::<()>(splats, options, w, grad, stats),
+        Some(sum) => *sum = splats_backward(splats, options, w, grad, stats),
+    }
 }
 
 /// Allocates one record for each entry up to the last one that some pixel of its tile blended.

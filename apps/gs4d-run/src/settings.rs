@@ -413,7 +413,7 @@ fn scaling(key: &str, own: &[Domain]) -> Scaling {
 mod tests {
     use super::*;
 
-    fn request(sets: &[&str]) -> Request {
+    pub(super) fn request(sets: &[&str]) -> Request {
         let sets = sets.iter().map(|s| (*s).to_owned()).collect();
         Request { method: "static3d".into(), preset: "tiny".into(), sets, ..Request::default() }
     }

@@ -89,12 +89,8 @@ pub fn lengthen(resolved: &Resolved, total: u32, done: u32) -> Result<Resolved, 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::settings::tests::request;
     use crate::settings::{Request, resolve};
-
-    fn request(sets: &[&str]) -> Request {
-        let sets = sets.iter().map(|s| (*s).to_owned()).collect();
-        Request { method: "static3d".into(), preset: "tiny".into(), sets, ..Request::default() }
-    }
 
     #[test]
     fn lengthening_touches_the_last_stage_and_shares_of_the_run_only() {
