@@ -304,6 +304,23 @@ fn bodies_of_a_scene() {
     assert!(together < 0.02 && alone > 10.0 * together, "{alone} -> {together}");
 }
 
+/// The unit of length is the user's to choose. A power of two changes no digit.
+#[test]
+fn bodies_do_not_depend_on_the_unit_of_length() {
+    let (_, seen) = scene();
+    let of = |unit: f32| {
+        let mut seen = seen.clone();
+        seen.origin *= unit;
+        seen.means.iter_mut().flatten().for_each(|x| *x *= unit);
+        let velocities = seen.motions.iter_mut().flatten().flat_map(|m| &mut m.twist.v);
+        velocities.for_each(|v| *v *= unit);
+        let bodies = Bodies::fit(&seen, &vec![0.9; 600]);
+        (bodies.list.iter().map(|b| b.path).collect::<Vec<_>>(), bodies.of)
+    };
+    let meters = of(1.0);
+    assert_eq!([1.0 / 1024.0, 1024.0].map(of), [meters.clone(), meters]);
+}
+
 /// Particles whose velocities are a third off their common twist are no body, and keep their own motion.
 #[test]
 fn what_is_not_rigid_is_no_body() {

@@ -33,7 +33,7 @@ fn adam_error() -> f64 {
         }
         adam.update(
             &mut p,
-            Update { rate: 1e-2, eps: 1e-15, sparse: false, weight_decay: 0.0 },
+            Update { rate: 1e-2, eps: 1e-15, sparse: false, weight_decay: 0.0, ramp: 0 },
             &mut Refused::default(),
         );
     }
@@ -45,7 +45,7 @@ fn adam_rows(criterion: &mut Criterion) {
     for (variant, sparse, share) in [("exact", false, 1), ("rows seen, all", true, 1), ("rows seen, a tenth", true, 10)]
     {
         let (rows, mut adam) = (100_000, Adam::default());
-        let update_rule = Update { rate: 1e-3, eps: 1e-15, sparse, weight_decay: 0.0 };
+        let update_rule = Update { rate: 1e-3, eps: 1e-15, sparse, weight_decay: 0.0, ramp: 0 };
         let mut p = block(rows);
         for threads in [1, 2] {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");

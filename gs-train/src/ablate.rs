@@ -16,14 +16,21 @@ impl Ablations {
     /// Leaves the parts out.
     ///
     /// # Errors
-    /// If there is no part of that name; says which there are.
-    pub fn apply<C>(&self, parts: &[Part<C>], config: &mut C) -> Result<(), String> {
+    /// If there is no part of that name; says which there are. If the settings have left it out already: the run would be the same as
+    /// without the name, and show nothing about the part.
+    pub fn apply<C: Clone + PartialEq>(&self, parts: &[Part<C>], config: &mut C) -> Result<(), String> {
         for name in &self.0 {
             let Some((_, leave_out)) = parts.iter().find(|part| part.0 == name) else {
                 let known: Vec<&str> = parts.iter().map(|part| part.0).collect();
                 return Err(format!("there is no part `{name}` to leave out; choose of {}", known.join(", ")));
             };
+            let before = config.clone();
             leave_out(config);
+            if *config == before {
+                return Err(format!(
+                    "the settings leave `{name}` out already: turn it on, or do not name it in `ablate`"
+                ));
+            }
         }
         Ok(())
     }

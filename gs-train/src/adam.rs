@@ -56,6 +56,8 @@ pub struct Update {
     pub sparse: bool,
     /// Weight decay `λ`, times the rate, per update (AdamW).
     pub weight_decay: f32,
+    /// The rate rises linearly over so many updates of the block, its first ones; 0: it is whole from the first.
+    pub ramp: u32,
 }
 
 /// Gradients met that were not finite.
@@ -150,13 +152,15 @@ impl Adam {
         };
         let o = self.options;
         let correction = |beta: f32| 1.0 - f64::from(beta).powf(f64::from(t));
+        let risen = if t < update.ramp { f64::from(t) / f64::from(update.ramp) } else { 1.0 };
+        let rate = f64::from(update.rate) * risen;
         let factors = Factors {
             beta1: o.beta1,
             beta2: o.beta2,
-            rate: (f64::from(update.rate) / correction(o.beta1)) as f32,
+            rate: (rate / correction(o.beta1)) as f32,
             root: (1.0 / correction(o.beta2).sqrt()) as f32,
             eps: update.eps,
-            keep: (1.0 - f64::from(update.rate) * f64::from(update.weight_decay)) as f32,
+            keep: (1.0 - rate * f64::from(update.weight_decay)) as f32,
         };
         let width = p.row_width.unwrap_or(1);
         let piece = width * (PIECE / width).max(1);
@@ -345,7 +349,7 @@ mod tests {
     use gs_core::Rng;
 
     fn every(rate: f32) -> Update {
-        Update { rate, eps: 1e-15, sparse: false, weight_decay: 0.0 }
+        Update { rate, eps: 1e-15, sparse: false, weight_decay: 0.0, ramp: 0 }
     }
 
     /// The definition, in f64.

@@ -54,10 +54,18 @@ pub struct CameraConfig {
     pub shift_rate: f32,
     /// Learning rate of `s`.
     pub focal_rate: f32,
-    /// Rates fall log-linearly to this share of themselves at the end of the run.
+    /// Rates fall log-linearly to this share of themselves at [`Self::until`].
     pub rate_end: f32,
+    /// Share of the run, later than [`Self::after`], at which rates have fallen so far; they go on falling after it.
+    #[serde(default = "whole")]
+    pub until: f64,
     /// Share of the run after which corrections begin to learn.
     pub after: f64,
+}
+
+/// The end of the run, as a share of it.
+fn whole() -> f64 {
+    1.0
 }
 
 impl Default for CameraConfig {
@@ -73,6 +81,7 @@ impl Default for CameraConfig {
             shift_rate,
             focal_rate,
             rate_end: 1.0,
+            until: whole(),
             after: 0.0,
         }
     }
@@ -324,9 +333,9 @@ impl Cameras {
         if rate <= 0.0 || share < c.after {
             return None;
         }
-        let fallen = f64::from(c.rate_end).powf((share - c.after) / (1.0 - c.after).max(1e-9));
+        let fallen = f64::from(c.rate_end).powf((share - c.after) / (c.until - c.after).max(1e-9));
         // A camera rests in steps that do not see it.
-        Some(Update { rate: rate * fallen as f32, eps: 1e-15, sparse: true, weight_decay: 0.0 })
+        Some(Update { rate: rate * fallen as f32, eps: 1e-15, sparse: true, weight_decay: 0.0, ramp: 0 })
     }
 
     /// Whether a block of this name is one of corrections.
@@ -436,6 +445,13 @@ mod tests {
         assert_eq!((rate(NAMES[0], 0.1), rate(NAMES[0], 0.2), rate(NAMES[2], 0.5)), (None, Some(1e-2), None));
         assert!((rate(NAMES[1], 0.6).unwrap() / 5e-4 - 1.0).abs() < 1e-5);
         assert!((rate(NAMES[0], 1.0).unwrap() / 1e-4 - 1.0).abs() < 1e-5);
+        // The first hundredth of a run falls as a whole one does, and the rest goes on.
+        let part = CameraConfig { after: 0.002, until: 0.01, ..config };
+        let of_part = |share| Cameras::new(part, Vec::new()).update(NAMES[0], share, 5.0).map(|u| u.rate);
+        for share in [0.25, 0.6, 1.0, 1.8] {
+            let (whole, part) = (rate(NAMES[0], share).unwrap(), of_part(share / 100.0).unwrap());
+            assert!((part / whole - 1.0).abs() < 1e-5, "{share}: {part} {whole}");
+        }
         let off = Cameras::new(CameraConfig { refine: false, ..config }, Vec::new());
         assert_eq!((off.update(NAMES[0], 0.5, 1.0), rate("cloud.means", 0.5)), (None, None));
     }

@@ -127,6 +127,11 @@ impl Canonical {
         Ok(stats)
     }
 
+    /// Whether a block takes part in the step begun: what moves the cloud does not while it stands still.
+    pub fn takes_part(&self, parameter: &str) -> bool {
+        self.at.dynamic || parameter.starts_with("cloud.")
+    }
+
     /// The bounds of densification.
     pub fn growth(&self) -> GrowthLimits {
         self.rules.growth()

@@ -3,6 +3,7 @@
 //! | check | what must hold |
 //! |---|---|
 //! | [`Subject::rates`] | names of blocks and buffers are unique, and every block has a rule for its learning rate |
+//! | [`Subject::updates`] | what a stage gives no gradient is not updated in it |
 //! | [`Subject::rows`] | after every step all row blocks and buffers have the same rows, and the run densifies if the method can |
 //! | [`Subject::times`] | splats are finite at times inside and outside `[0, 1]`, as many as [`Method::splat_count`](crate::method::Method::splat_count) says |
 //! | [`Subject::state`] | a saved state loads bit for bit, and training goes on from it bit for bit |
@@ -92,6 +93,7 @@ impl<'a> Subject<'a> {
     /// The first offence.
     pub fn check(&self) -> Result<(), ConformanceError> {
         self.rates()?;
+        self.updates()?;
         self.rows()?;
         self.times()?;
         self.state()?;
@@ -121,6 +123,39 @@ impl<'a> Subject<'a> {
             }
         });
         result
+    }
+
+    /// In no stage is a group of shared blocks (`field.…`, say) updated of which no block has had a gradient by the stage's end: Adam's
+    /// first update of a block is as long as its rate only if no updates without gradients were counted before
+    /// ([`Method::takes_part`](crate::method::Method::takes_part)).
+    ///
+    /// # Errors
+    /// The first stage and group.
+    pub fn updates(&self) -> Result<(), ConformanceError> {
+        let mut trainer = self.start("updates")?;
+        let (mut open, mut stage) = (BTreeSet::new(), String::new());
+        loop {
+            let report = self.step("updates", &mut trainer)?;
+            if report.as_ref().is_none_or(|r| r.stage != stage)
+                && let Some(group) = open.pop_first()
+            {
+                let what = "is updated in a stage that gives none of its blocks a gradient";
+                return Err(self.error("updates", format!("`{group}` in `{stage}`"), what));
+            }
+            let Some(StepReport { step, stage: now, .. }) = report else { return Ok(()) };
+            stage = now;
+            let (model, mut learnt) = (trainer.model(), BTreeSet::new());
+            model.visit(&mut |p| {
+                let group = p.name.split('.').next().unwrap_or_default().to_owned();
+                if p.row_width.is_none() && model.update(p, step, 1.0).is_some() {
+                    open.insert(group.clone());
+                }
+                if p.moment2.iter().any(|v| *v > 0.0) {
+                    learnt.insert(group);
+                }
+            });
+            open.retain(|group| !learnt.contains(group));
+        }
     }
 
     /// After every step all columns of all row blocks, and all buffers with rows, have the same rows. A method that states

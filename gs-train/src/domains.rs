@@ -94,6 +94,7 @@ pub const SHARED: &[Domain] = &[
     within("cameras.focal_rate", 0.0, 1.0),
     within("cameras.time_rate", 0.0, 1.0),
     within("cameras.rate_end", 1e-6, 1.0),
+    within("cameras.until", 0.0, 1e9),
     within("cameras.after", 0.0, 1.0),
     length("sh_every", 0.0),
     within("density.dense_share", 0.0, 1e3),

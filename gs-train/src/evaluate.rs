@@ -14,6 +14,7 @@ pub use placed::{RefinedCameras, place};
 
 use crate::cameras::Correction;
 use crate::device::Device;
+use crate::loss::{fit_before, map_before};
 use crate::method::MethodError;
 use crate::model::Model;
 use crate::ranks::{Share, ShareError};
@@ -21,7 +22,7 @@ use crate::timestamp::Timestamp;
 use gs_core::{Camera, Image, Splats};
 use gs_data::{DataError, Dataset, ImageCache, Split, View};
 use gs_metrics::{
-    ColorMap, Lpips, Mean, MetricError, Quantise, Scorer, Scores, Sharpness, SsimOptions, Summary, masked_mse,
+    Lpips, Mean, MetricError, Quantise, Scorer, Scores, Sharpness, SsimOptions, Summary, masked_mse,
     masked_perceptual_proxy, masked_ssim, mse, person_scores, psnr_from_mse, ssim,
 };
 use gs_raster::{DeviceError, Frame};
@@ -119,7 +120,7 @@ impl MaskedScores {
     }
 }
 
-/// Scores after the linear map of colours that brings a frame nearest to its image by least squares ([`ColorMap`]); where a view has a mask, of what counts
+/// Scores after the linear map of colours that brings a frame nearest to its image by least squares ([`gs_metrics::ColorMap`]); where a view has a mask, of what counts
 /// there.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FittedScores {
@@ -130,10 +131,11 @@ pub struct FittedScores {
 }
 
 impl FittedScores {
-    /// Of a frame, not clamped.
-    fn of(frame: &Image, truth: &Image, mask: Option<&Image>) -> Result<Self, MetricError> {
-        let mut fitted = frame.clone();
-        ColorMap::fit(frame, truth, mask, FIT_RIDGE)?.apply(&mut fitted);
+    /// Of a frame, not clamped, and its image, both over a background.
+    fn of(frame: &Frame, background: [f32; 3], truth: &Image, mask: Option<&Image>) -> Result<Self, MetricError> {
+        let mut fitted = Image::default();
+        let map = fit_before(frame, background, truth, mask, FIT_RIDGE, &mut fitted)?;
+        map_before(&map, frame, background, &mut fitted);
         fitted.data.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
         let (mse, ssim) = match mask {
             Some(mask) => (masked_mse(&fitted, truth, mask), masked_ssim(&fitted, truth, mask).ok().map(|s| s.whole)),
@@ -398,7 +400,8 @@ pub fn evaluate_splats(
             Ok((ViewScores::of(view, &scores, [&rendered, &truth], mask.as_deref(), lpips)?, scores.mse))
         });
         let scored = scored.and_then(|(scores, mse)| {
-            let fitted = fit_colors.then(|| FittedScores::of(&frame.rgb, &truth, mask.as_deref())).transpose()?;
+            let fitted =
+                fit_colors.then(|| FittedScores::of(&frame, background, &truth, mask.as_deref())).transpose()?;
             Ok((ViewScores { camera: corrections[k], fitted, ..scores }, mse))
         });
         scored.map_err(|source| EvalError::Metric { view: view.name.clone(), source })

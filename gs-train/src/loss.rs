@@ -28,6 +28,7 @@ mod terms;
 pub(crate) use exposure::Exposures;
 use exposure::Mapped;
 pub use exposure::{ExposureConfig, ExposureFit};
+pub(crate) use exposure::{fit_before, map_before};
 pub use region::Region;
 pub use terms::{Dssim, LossTerm, SpectrumTerm, TermValue, TextureTerm};
 
@@ -161,7 +162,8 @@ impl ImageLoss {
             }
         }
         let mut mapped = std::mem::take(&mut self.mapped);
-        let fitted = truth.exposure.map(|e| e.apply(rendered, &target, mask, &mut mapped)).transpose()?;
+        let fitted =
+            truth.exposure.map(|e| e.apply(frame, truth.background, &target, mask, &mut mapped)).transpose()?;
         let shown = if fitted.is_some() { &mapped.colors } else { rendered };
         if let Some(mask) = mask {
             mask::keep_outside(mask, shown, &mut target);
@@ -170,13 +172,13 @@ impl ImageLoss {
         self.ground_truth = target;
         let mut values = values?;
         if let Some(ExposureFit { map, .. }) = truth.exposure {
-            mapped.pull_back(&map, &mut grad.rgb);
+            mapped.pull_back(&map, truth.background, grad);
             values.terms.push(("exposure".into(), map.strength()));
         }
         values.color_map = fitted;
         self.mapped = mapped;
         if let Some(mask) = mask {
-            values.mse /= mask::apply(mask, &mut grad.rgb).max(f64::MIN_POSITIVE);
+            values.mse /= mask::apply(mask, grad).max(f64::MIN_POSITIVE);
         }
         if let Some(measured) = measured {
             let off = depth::evaluate(frame, measured, mask, self.depth, grad);

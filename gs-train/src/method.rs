@@ -48,6 +48,12 @@ pub trait Method: Params + Buffers + Send + Sync {
         Vec::new()
     }
 
+    /// Whether a block takes part in the step begun. One that does not is not updated, and the optimiser does not count the step
+    /// for it: its first update has the corrections of a first one (as a parameter without gradient in PyTorch).
+    fn takes_part(&self, _parameter: &str) -> bool {
+        true
+    }
+
     /// Whether [`Self::regularise`] looks at the gradient of all parameters, to clip it, say. Otherwise it may only add to it.
     fn needs_whole_gradient(&self) -> bool {
         false

@@ -61,11 +61,11 @@ impl Model {
         &mut self.cameras
     }
 
-    /// How a parameter is updated in a step, if it learns then; `extent` is that of the scene, world units. Corrections of
+    /// How a parameter is updated in the step begun, if it learns then; `extent` is that of the scene, world units. Corrections of
     /// cameras rest while only the field learns.
     pub(crate) fn update(&self, p: &Param, step: u32, extent: f32) -> Option<Update> {
         if !Cameras::owns(&p.name) {
-            return self.schedule.update(p, step, extent);
+            return self.schedule.update(p, step, extent).filter(|_| self.method.takes_part(&p.name));
         }
         let share = f64::from(step.saturating_sub(1)) / f64::from(self.schedule.steps().max(1));
         self.cameras.update(&p.name, share, extent).filter(|_| !self.schedule.field_alone(step))

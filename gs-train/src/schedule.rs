@@ -301,8 +301,8 @@ impl Schedule {
         let eps = if rule.eps > 0.0 { rule.eps } else { self.adam_eps };
         let sparse = rule.sparse || self.sparse_adam && p.row_width.is_some();
         let (rate, root) = (rule.at(clock, extent), self.batches().sqrt());
-        Some(Update { rate: rate * root, eps: eps / root, sparse, weight_decay: rule.weight_decay * root })
-            .filter(|u| u.rate > 0.0)
+        let (rate, eps, weight_decay) = (rate * root, eps / root, rule.weight_decay * root);
+        Some(Update { rate, eps, sparse, weight_decay, ramp: rule.ramp }).filter(|u| u.rate > 0.0)
     }
 
     /// The optimiser's decays: those of 3DGS for the batch that rates are for. Of `r` times as many views, `β^r`; rates and weight
@@ -485,7 +485,7 @@ pub(crate) mod tests {
     fn groups_have_their_own_epsilon_and_may_rest() {
         let mut s = schedule(vec![stage(10, false)]);
         let (means, table) = (Param::rows("cloud.means", 3, vec![0.0; 3]), Param::shared("field.planes.xy", vec![0.0]));
-        let plain = Update { rate: 1e-2, eps: 1e-15, sparse: false, weight_decay: 0.0 };
+        let plain = Update { rate: 1e-2, eps: 1e-15, sparse: false, weight_decay: 0.0, ramp: 0 };
         assert_eq!(s.update(&table, 1, 1.0), Some(plain));
         let rule = rate(&mut s, "field", "planes");
         *rule = LearningRate { eps: 1e-8, sparse: true, from: 5, ..*rule };

@@ -85,7 +85,7 @@ impl Timeline {
                     true => format!(" to {end:e} in {steps} steps"),
                     false => String::new(),
                 };
-                let ramp = if *ramp > 0 { format!(", rising over {ramp} steps") } else { String::new() };
+                let ramp = if *ramp > 0 { format!(", rising over the first {ramp} updates") } else { String::new() };
                 writeln!(f, "learning rate {group}.{name}{since}: {start:e}{decay}{ramp}")?;
             }
         }

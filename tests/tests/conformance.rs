@@ -215,6 +215,7 @@ fn states_threads_ranks_rows_times_and_rates() {
         let subject = subject(case, &config);
         let all = || {
             subject.rates()?;
+            subject.updates()?;
             subject.rows()?;
             subject.times()?;
             subject.state()?;
@@ -296,6 +297,7 @@ fn broken_methods_are_found() {
     };
     assert!(found(broken::entry::<{ broken::ROWS }>(), |s| s.check()).starts_with("rates time.extra"));
     assert!(found(broken::entry::<{ broken::ROWS }>(), |s| s.rows()).starts_with("rows `time.extra` after step"));
+    assert!(found(broken::entry::<{ broken::UPDATES }>(), |s| s.check()).starts_with("updates `idle` in `"));
     assert!(found(broken::entry::<{ broken::STATE }>(), |s| s.check()).starts_with("state resumed at step"));
     assert_eq!(found(broken::entry::<{ broken::THREADS }>(), |s| s.check()), "threads 1 and 2 threads");
     assert_eq!(found(broken::entry::<{ broken::VIEWS }>(), |s| s.check()), "ranks 1 and 2 ranks");

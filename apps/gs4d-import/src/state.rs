@@ -157,6 +157,9 @@ pub(crate) struct State {
     pub(crate) clocks: Option<Clocks>,
     #[serde(default)]
     pub(crate) cut: Option<Cut>,
+    /// Images of each camera of a folder, all of which are copied; none of videos.
+    #[serde(default)]
+    pub(crate) images: Vec<usize>,
     /// Frames of the cameras that have them.
     #[serde(default)]
     pub(crate) frames: Vec<usize>,
@@ -206,6 +209,7 @@ impl State {
             why: String::new(),
             clocks: None,
             cut: None,
+            images: Vec::new(),
             frames: Vec::new(),
             left_out: None,
             solving: Solving::default(),
@@ -309,15 +313,15 @@ impl State {
     /// Frames of a camera that this import made have numbers below this.
     fn made(&self, camera: usize, is_mask: bool) -> usize {
         let with_masks = self.settings.masks.is_some();
-        let (taken, cameras) = self.cut.as_ref().map_or((0, 0), |c| (c.frames, c.begins.len()));
+        let of_videos = self.cut.as_ref().filter(|c| camera < c.begins.len()).map_or(0, |c| c.frames);
+        let taken = self.images.get(camera).copied().unwrap_or(of_videos);
         match self.frames.get(camera) {
             _ if is_mask && !with_masks => 0,
             // Images or masks may be more than those that count, which have both.
             Some(&n) if with_masks => n.max(taken),
             Some(&n) => n,
-            // An interruption may have left the next camera whole, and no other; of a folder all images are copied.
-            None if camera > self.frames.len() || camera >= cameras => 0,
-            None if taken == 0 => usize::MAX,
+            // An interruption may have left the next camera whole, and no other.
+            None if camera > self.frames.len() => 0,
             None => taken,
         }
     }

@@ -176,6 +176,7 @@ impl Job<'_> {
     /// Copies the images of a folder.
     pub(crate) fn images(&mut self) -> Result<(), ImportError> {
         let settings = self.settings().clone();
+        self.state.images = self.sources.iter().map(|(_, files)| files.len()).collect();
         if self.state.rig.is_none() {
             let many = self.sources.len() > 1;
             let found = if many { Rig::Fixed } else { Rig::Moving };
@@ -206,5 +207,53 @@ impl Job<'_> {
             self.save()?;
         }
         self.check_counts()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::program::Runner;
+    use crate::state::{Source, State, WORK};
+    use std::fs;
+    use std::sync::atomic::AtomicBool;
+
+    #[test]
+    fn of_the_next_camera_only_as_many_images_as_its_folder_has_are_replaced() {
+        let dir = tempfile::tempdir().unwrap();
+        let (pictures, data) = (dir.path().join("pictures"), dir.path().join("data"));
+        for file in ["a/1.png", "a/2.png", "b/1.png", "b/2.png", "b/3.png"].map(|file| pictures.join(file)) {
+            fs::create_dir_all(file.parent().unwrap()).unwrap();
+            fs::write(file, "x").unwrap();
+        }
+        let source = Source::Images(pictures);
+        let begin = |force| State::begin(&data, &source, &Settings::default(), force);
+        let (stop, log) = (AtomicBool::new(false), dir.path().join("log"));
+        let runner = Runner { stop: &stop, log };
+        let go_on = || {
+            let (work, state, sources) = (data.join(WORK), begin(false)?, crate::sources(&source)?);
+            let tell: &mut dyn FnMut(Event<'_>) = &mut |_| {};
+            Job { data: &data, work, state, runner: &runner, sources, threads: None, tell }.images()
+        };
+        // Stopped after the second camera was copied, before that was written down.
+        let stopped = || {
+            let mut state = begin(false).unwrap();
+            assert_eq!(state.frames, [2, 3]);
+            state.frames.pop();
+            state.save(&data).unwrap();
+        };
+        go_on().unwrap();
+        stopped();
+        go_on().unwrap();
+        stopped();
+        let mine = data.join("images/cam01/00003.png");
+        fs::write(&mine, "mine").unwrap();
+        for e in [go_on().unwrap_err(), begin(true).unwrap_err()] {
+            assert!(matches!(&e, ImportError::Input { path, .. } if *path == mine), "{e}");
+        }
+        assert_eq!(fs::read_to_string(&mine).unwrap(), "mine");
+        fs::remove_file(&mine).unwrap();
+        begin(true).unwrap();
+        assert!(!data.join("images").exists());
     }
 }

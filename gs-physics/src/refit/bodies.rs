@@ -2,7 +2,7 @@
 
 use super::{Body, Tracks};
 use crate::groups::UNGROUPED;
-use crate::segment::{FeatureOptions, KMeansOptions, MergeOptions, features, kmeans, merged};
+use crate::segment::{FeatureOptions, KMeansOptions, MergeOptions, features, kmeans, merged, radius};
 use crate::twist::Motion;
 use glam::{DVec3, Vec3};
 use gs_core::cast;
@@ -95,11 +95,12 @@ impl Bodies {
 /// Bodies by the twists of their particles.
 fn labels(tracks: &Tracks, weights: &[f32]) -> Vec<u32> {
     let (now, motions) = (&tracks.means[0], &tracks.motions[0]);
-    let square: f32 = now.iter().map(|x| x.distance_squared(tracks.origin)).sum::<f32>() / now.len() as f32;
-    let little = REST * REST * square;
+    let radius = radius(now, tracks.origin, None);
+    let little = (REST * radius).powi(2);
     let resting: Vec<bool> =
         (0..now.len()).map(|i| tracks.means.iter().all(|m| m[i].distance_squared(now[i]) <= little)).collect();
-    let (rows, width) = features(motions, &FeatureOptions { resting: Some(&resting), ..FeatureOptions::default() });
+    let options = FeatureOptions { resting: Some(&resting), radius, ..FeatureOptions::default() };
+    let (rows, width) = features(motions, &options);
     let found = kmeans(&rows, width, Some(weights), &KMeansOptions { k: CLUSTERS, ..KMeansOptions::default() });
     let clusters = (&found.labels[..], found.k);
     merged(

@@ -11,6 +11,7 @@
 
 use crate::twist::Motion;
 use glam::Vec3;
+use gs_core::cast;
 
 /// `κ`: directions of motions shorter than this fraction of the scale fade out.
 const DIRECTION_FADE: f32 = 0.05;
@@ -80,6 +81,19 @@ pub fn features(motions: &[Motion<f32>], options: &FeatureOptions<'_>) -> (Vec<f
         }
     }
     (rows, width)
+}
+
+/// Root mean square distance of particles from the origin of twists, weighted by `weights` (opacities) if there are any, in the unit of
+/// `means`: [`FeatureOptions::radius`]. 1 where that is 0 or not finite.
+pub fn radius(means: &[Vec3], origin: Vec3, weights: Option<&[f32]>) -> f32 {
+    let weight = |i: usize| weights.map_or(1.0, |w| f64::from(w[i]));
+    let (mut square, mut total) = (0.0, 0.0);
+    for (i, x) in means.iter().enumerate() {
+        square += f64::from(x.distance_squared(origin)) * weight(i);
+        total += weight(i);
+    }
+    let radius = cast::to_f32((square / total.max(f64::MIN_POSITIVE)).sqrt());
+    if radius > 0.0 && radius.is_finite() { radius } else { 1.0 }
 }
 
 /// The scales `s_v` and `s_w` that lengths are divided by; without normalisation the fade is in absolute units.

@@ -32,7 +32,7 @@ mod near;
 pub mod ogc;
 
 pub use choose::{MergeOptions, Merged, TwistSums, merged};
-pub use features::{Feature, FeatureOptions, features};
+pub use features::{Feature, FeatureOptions, features, radius};
 pub use kmeans::{Clusters, KMeansOptions, kmeans};
 pub use ogc::{Ogc, OgcOptions};
 

@@ -69,6 +69,8 @@ pub struct AvatarScene {
     pub fps: f64,
     /// Frames that have inputs, ascending in time; at least one.
     pub frames: Vec<AvatarFrame>,
+    /// Most memory for decoding one of its images, MiB ([`Dataset::max_image_mib`](crate::Dataset::max_image_mib)).
+    pub max_image_mib: Option<u32>,
 }
 
 /// A frame of a filmed person.
@@ -222,7 +224,8 @@ mod tests {
             true_morphs: None,
         };
         let frames = times.iter().enumerate().map(frame).collect();
-        AvatarScene { character: Character::default(), skinning: Skinning::Lbs, fps: 1.0, frames }
+        let (character, skinning) = (Character::default(), Skinning::Lbs);
+        AvatarScene { character, skinning, fps: 1.0, frames, max_image_mib: None }
     }
 
     #[test]

@@ -52,9 +52,10 @@ pub fn decode(file: &Path, max_bytes: Option<u64>) -> Result<ImageU8, DataError>
 /// The EXIF orientation of an image whose sides change places by it; none where there is none, or it keeps them.
 pub(crate) fn quarter_turn(file: &Path) -> Option<Orientation> {
     use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
-    let header = header::read(file).ok()?;
-    let (reader, limits, _) = limited(file, &header, None).ok()?;
-    let orientation = match header.format {
+    let format = header::read(file).ok()?.format;
+    // No pixel is decoded here: how many there are does not matter.
+    let (reader, limits, _) = opened(file, None).ok()?;
+    let orientation = match format {
         Format::Png => PngDecoder::with_limits(reader, limits).ok()?.orientation(),
         Format::Jpeg => JpegDecoder::new(reader).ok()?.orientation(),
     };
@@ -77,10 +78,16 @@ pub(crate) fn limited(
     header: &ImageHeader,
     max_bytes: Option<u64>,
 ) -> Result<(BufReader<File>, Limits, u64), DataError> {
+    let (reader, limits, limit) = opened(file, max_bytes)?;
+    check_size(file, header, limit)?;
+    Ok((reader, limits, limit))
+}
+
+/// The same, however many pixels the file has.
+fn opened(file: &Path, max_bytes: Option<u64>) -> Result<(BufReader<File>, Limits, u64), DataError> {
     let open = open_regular(file)?;
     let file_bytes = open.metadata().map_err(|e| DataError::read(file, e))?.len();
     let limit = max_bytes.unwrap_or(BASE_BYTES.saturating_add(file_bytes.saturating_mul(BYTES_PER_FILE_BYTE)));
-    check_size(file, header, limit)?;
     let mut limits = Limits::default();
     limits.max_image_width = Some(MAX_SIDE);
     limits.max_image_height = Some(MAX_SIDE);
@@ -211,5 +218,22 @@ mod tests {
         image::RgbImage::new(64, 64).save(&file).unwrap();
         let e = decode(&file, Some(1000)).unwrap_err();
         assert!(matches!(e, DataError::TooLarge { bytes: 16384, limit: 1000, .. }), "{e}");
+    }
+
+    #[test]
+    fn an_orientation_is_found_however_large_the_image_is() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("a.jpg");
+        let mut jpeg = Vec::new();
+        let mut encoder = image::codecs::jpeg::JpegEncoder::new(&mut jpeg);
+        let exif = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0";
+        image::ImageEncoder::set_exif_metadata(&mut encoder, exif.to_vec()).unwrap();
+        encoder.encode_image(&image::RgbImage::new(16, 8)).unwrap();
+        // Its frame header says 8000x4000: 128 MB of pixels.
+        let frame = jpeg.windows(2).position(|marker| marker == [0xff, 0xc0]).unwrap();
+        jpeg[frame + 5..frame + 9].copy_from_slice(&[4000u16, 8000].map(u16::to_be_bytes).concat());
+        std::fs::write(&file, jpeg).unwrap();
+        assert_eq!(decode(&file, None).unwrap_err().code(), "limits.file");
+        assert_eq!(quarter_turn(&file), Some(Orientation::Rotate90));
     }
 }

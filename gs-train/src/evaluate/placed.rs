@@ -174,7 +174,7 @@ impl Placing<'_> {
             let zoom = if focal { 2.0 * pixels / f64::from(first.camera.width) } else { 0.0 };
             let rates = [turn, turn * depth, zoom, falling(TIMES, step)];
             for (block, rate) in own.blocks_mut().iter_mut().zip(rates) {
-                let update = Update { rate: rate as f32, eps: 1e-15, sparse: false, weight_decay: 0.0 };
+                let update = Update { rate: rate as f32, eps: 1e-15, sparse: false, weight_decay: 0.0, ramp: 0 };
                 adam.update(block, update, &mut Refused::default());
             }
         }

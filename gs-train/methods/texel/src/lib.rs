@@ -480,6 +480,10 @@ impl Method for Dut {
         Vec::new()
     }
 
+    fn takes_part(&self, parameter: &str) -> bool {
+        parameter.starts_with("geo.") == (self.phase() == Phase::Geometry)
+    }
+
     fn needs_whole_gradient(&self) -> bool {
         matches!(&self.source, Source::Network(net) if net.clips())
     }

@@ -64,7 +64,7 @@ impl Dut {
             let (_, d) = geometry.loss(&self.actor, frame, first, &rows(&offsets.value))?;
             offsets.grad = d.iter().flat_map(|d| d.to_array()).collect();
             let rate = options.rate * 0.01f32.powf(step as f32 / options.steps as f32);
-            let update = Update { rate, eps: 1e-12, sparse: false, weight_decay: 0.0 };
+            let update = Update { rate, eps: 1e-12, sparse: false, weight_decay: 0.0, ramp: 0 };
             adam.update(offsets, update, &mut Refused::default());
         }
         Ok(())

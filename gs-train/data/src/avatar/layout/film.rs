@@ -155,7 +155,8 @@ impl Film {
         if frames.is_empty() {
             return Err(DataError::Empty { file: place.file });
         }
-        let scene = AvatarScene { character: self.character, skinning: self.skinning, fps, frames };
+        let (character, skinning, max_image_mib) = (self.character, self.skinning, options.max_image_mib);
+        let scene = AvatarScene { character, skinning, fps, frames, max_image_mib };
         self.notes.push(format!("frame n is at n / {fps} seconds; data.fps sets another rate"));
         let (points, bounds) = (start(&scene, first.unwrap_or(0)), bounds(&scene));
         Ok(Dataset {

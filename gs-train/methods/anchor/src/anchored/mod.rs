@@ -251,6 +251,9 @@ impl Buffers for Anchored {
     }
 }
 
+/// How the names of blocks begin that take part only where anchors move.
+const MOTION: [&str; 4] = ["gad.", "lgd.", "intervals.", "anchors.dynamics"];
+
 impl Method for Anchored {
     fn begin_step(&mut self, at: &StepCtx) {
         self.at = at.clone();
@@ -279,6 +282,10 @@ impl Method for Anchored {
             terms.push(("motion", kind.penalise(&mut self.anchors, weight)));
         }
         terms
+    }
+
+    fn takes_part(&self, parameter: &str) -> bool {
+        self.at.dynamic || !MOTION.iter().any(|name| parameter.starts_with(name))
     }
 
     fn needs_whole_rows(&self) -> bool {

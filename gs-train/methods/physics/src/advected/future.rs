@@ -8,7 +8,7 @@ use gs_core::{Geometry, cast};
 use gs_physics::classes::{ClassRule, rotation_sensitivity};
 use gs_physics::groups::Groups;
 use gs_physics::refit::{Bodies, Body, Tracks};
-use gs_physics::segment::{FeatureOptions, KMeansOptions, features, kmeans};
+use gs_physics::segment::{FeatureOptions, KMeansOptions, features, kmeans, radius};
 use gs_physics::{Dynamics, Extrapolator, Integrator, Motion, ParticleState, Start};
 use gs_train::capabilities::RigidBody;
 
@@ -38,7 +38,8 @@ impl Thrift {
         let reach: Vec<f32> = begin.scales.iter().map(|s| rotation_sensitivity(*s)).collect();
         let groups = (self.bodies > 0 && !begin.is_empty()).then(|| {
             let motions = particles.motions();
-            let (rows, width) = features(motions, &FeatureOptions::default());
+            let radius = radius(&begin.means, origin, Some(opacities));
+            let (rows, width) = features(motions, &FeatureOptions { radius, ..FeatureOptions::default() });
             let options = KMeansOptions { k: self.bodies, ..KMeansOptions::default() };
             let found = kmeans(&rows, width, Some(opacities), &options);
             Groups::fit(&self.rule, &found.labels, motions, &begin.means, origin, &reach)

@@ -481,6 +481,10 @@ where
         all
     }
 
+    fn takes_part(&self, parameter: &str) -> bool {
+        self.canonical.takes_part(parameter)
+    }
+
     fn needs_whole_rows(&self) -> bool {
         self.canonical.needs_whole_rows()
     }
