@@ -68,6 +68,19 @@ fn whole() -> f64 {
     1.0
 }
 
+impl CameraConfig {
+    /// Verifies what the domains of single settings do not say.
+    pub(crate) fn check(&self) -> Result<(), String> {
+        let Self { after, until, .. } = *self;
+        if until < after {
+            return Err(format!(
+                "cameras.until = {until} is earlier than cameras.after = {after}: rates would have fallen before they begin"
+            ));
+        }
+        Ok(())
+    }
+}
+
 impl Default for CameraConfig {
     /// Nothing is learnt.
     fn default() -> Self {
@@ -452,6 +465,8 @@ mod tests {
             let (whole, part) = (rate(NAMES[0], share).unwrap(), of_part(share / 100.0).unwrap());
             assert!((part / whole - 1.0).abs() < 1e-5, "{share}: {part} {whole}");
         }
+        assert!(CameraConfig { after: 0.3, until: 0.2, ..config }.check().unwrap_err().contains("cameras.until = 0.2"));
+        assert_eq!((config.check(), part.check()), (Ok(()), Ok(())));
         let off = Cameras::new(CameraConfig { refine: false, ..config }, Vec::new());
         assert_eq!((off.update(NAMES[0], 0.5, 1.0), rate("cloud.means", 0.5)), (None, None));
     }

@@ -104,6 +104,8 @@ impl MethodEntry {
             Some(toml::Value::Table(cameras)) => parse_config(self.name, cameras)?,
             _ => CameraConfig::default(),
         };
+        let wrong = |why: String| MethodError::Config { method: self.name, why };
+        cameras.check().map_err(wrong)?;
         Ok((self.build)(&own_settings(config.clone()), scene)?.with_cameras(cameras, Vec::new()))
     }
 
