@@ -472,6 +472,22 @@ mod tests {
     }
 
     #[test]
+    fn a_rate_rises_over_the_first_updates_of_a_block() {
+        let mut adam = Adam::default();
+        let rising = Update { ramp: 4, ..every(0.1) };
+        // The later block rises, too, however many updates the other has had.
+        for name in ["early", "late"] {
+            let mut p = Param::shared(name, vec![0.0]);
+            for want in [0.025, 0.05, 0.075, 0.1, 0.1] {
+                let before = p.value[0];
+                p.grad[0] = 1.0;
+                adam.update(&mut p, rising, &mut Refused::default());
+                assert!((before - p.value[0] - want).abs() < 1e-6, "{name}: {before} {}", p.value[0]);
+            }
+        }
+    }
+
+    #[test]
     fn updates_are_counted_per_block_and_restored() {
         let (mut a, mut b) = (Param::shared("a", vec![0.0]), Param::shared("b", vec![0.0]));
         let mut adam = Adam::default();

@@ -137,7 +137,7 @@ fn a_field_alone_follows_while_the_cloud_and_the_law_rest() {
 }
 
 /// Three of 24 parts of time are open in the end, which show almost no motion. Were the steps of the warm-up counted for the field,
-/// its first steps would be nearly three times as long as its rate, and all units of its last hidden layer would die: nothing would
+/// its first steps would be up to 3.4 times as long as its rate, and all units of its last hidden layer would die: nothing would
 /// depend on time.
 #[test]
 fn a_network_outlives_a_window_that_opens_slowly() {
