@@ -18,7 +18,7 @@
 //! **Range.** Evaluations that descend from that of 3DGS (FAGS, MoDec-GS, TRACE) leave out the map to `[−1, 1]`: their printed figures are those of
 //! [`LpipsRange::Unit`]. Masked distances are DyCheck's in either case.
 //!
-//! **Numbers.** `f32`; distances agree with the package to 1e-5 of their value (`tests/lpips.rs`). Bitwise the same for any number of threads.
+//! **Numbers.** `f32`; distances agree with the package to 1e-5 of their value (`tests/metrics/lpips.rs`). Bitwise the same for any number of threads.
 
 use crate::error::{MetricError, check_finite, check_pair};
 use crate::frozen::{Chain, Layer};

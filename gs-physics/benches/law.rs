@@ -4,7 +4,7 @@
 //! matrix products, two per multiply-add. Errors are against the `f64` references: of positions and rotations, or of the gradients
 //! of weights relative to the largest of their block; the references follow a few particles only.
 
-#[path = "../tests/support/particles.rs"]
+#[path = "../tests/physics/support/particles.rs"]
 mod particles;
 
 use glam::Vec3;

@@ -40,7 +40,7 @@
 //! 4. backward: each (tile, splat) pair writes one record, each splat adds its records in tile order.
 //!
 //! The frame and its gradients are the same bits for any number of threads. Between instruction sets they agree within
-//! the tolerance table of `tests/production.rs`; `tests/golden` holds images and gradients of independent renderers.
+//! the tolerance table of `tests/raster/production.rs`; `tests/golden` holds images and gradients of independent renderers.
 //! Hidden splats and closed tiles cost next to nothing and change nothing; the only approximations are those of `f32`
 //! arithmetic.
 //!

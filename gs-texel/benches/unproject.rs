@@ -4,7 +4,7 @@
 //!
 //! Each row is printed and appended to `target/speed-error/gs-texel.jsonl`; `work` counts pixels, rays or texels.
 
-#[path = "../tests/scenes/mod.rs"]
+#[path = "../tests/texel/scenes.rs"]
 mod scenes;
 
 use criterion::Criterion;

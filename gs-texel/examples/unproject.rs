@@ -3,7 +3,7 @@
 //!
 //! `cargo run --release -p gs-texel --example unproject [texture size]`
 
-#[path = "../tests/scenes/mod.rs"]
+#[path = "../tests/texel/scenes.rs"]
 mod scenes;
 
 use gs_core::speed::median_seconds;

@@ -4,7 +4,8 @@
 //! m ← β₁ m + (1 − β₁) g        v ← β₂ v + (1 − β₂) g²
 //! p ← (1 − lr · λ) p − lr · (m / (1 − β₁ᵗ)) / (sqrt(v / (1 − β₂ᵗ)) + ε)
 //! ```
-//! `λ` is weight decay, decoupled from the gradient (AdamW, Loshchilov and Hutter 2019); 0 unless asked for. `t` counts the
+//! `λ` is weight decay, decoupled from the gradient (AdamW, Loshchilov and Hutter 2019); 0 unless asked for. `1 − lr · λ` is
+//! rounded to `f32`, as in PyTorch: below 3e-8, which DUT's 2e-4 · 1e-5 is, it takes nothing away. `t` counts the
 //! updates of each block. Gradients are guarded in the same pass: a row of a row block with a gradient
 //! that is not finite is left alone (value and moments), its gradient cleared, and counted; in a block shared by all
 //! splats such a gradient is reported, and nothing of its chunk is updated.

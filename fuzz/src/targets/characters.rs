@@ -8,7 +8,7 @@ use gs_texel::{Character, ReadOptions, Skinning, load_character, parse_character
 use serde_json::json;
 use std::path::Path;
 
-#[path = "../../../gs-texel/tests/small_gltf/mod.rs"]
+#[path = "../../../gs-texel/tests/texel/small_gltf.rs"]
 #[allow(dead_code, reason = "the tests of gs-texel use all of it")]
 mod small_gltf;
 

@@ -7,6 +7,8 @@ mod fourier;
 mod frames;
 mod golden;
 mod images;
+mod lpips;
+mod mrf;
 mod ms_ssim;
 mod perceptual;
 mod published;

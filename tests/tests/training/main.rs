@@ -7,6 +7,7 @@ mod learning;
 mod methods;
 mod ranks;
 mod resume;
+mod road;
 mod scores;
 mod settings;
 mod support;

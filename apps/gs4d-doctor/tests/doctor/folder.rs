@@ -18,7 +18,7 @@ impl Folder {
         static MADE: OnceLock<tempfile::TempDir> = OnceLock::new();
         let all = MADE.get_or_init(|| {
             let dir = tempfile::tempdir().expect("folder");
-            let still = SynthOptions::of_views(128, 60, 4);
+            let still = SynthOptions::of_views(96, 60, 4);
             synth::write(&dir.path().join("static"), "static", &still, false).expect("scene");
             synth::write(&dir.path().join("balls"), "balls", &still, false).expect("scene");
             let rig = SynthOptions { size: 96, cameras: 8, moments: 12, ..Default::default() };

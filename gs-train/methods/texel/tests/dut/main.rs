@@ -8,6 +8,7 @@
 //! | GeoNet's offsets of a known morph, RMS error over RMS length | 10 % |
 
 mod morphs;
+mod needs_avatar;
 
 use gs_core::{Camera, Params, Rng, SplatsGrad, SplatsRef};
 use gs_data::{Dataset, ImageCache, ImageSource, Split};

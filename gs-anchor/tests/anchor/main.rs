@@ -1,0 +1,5 @@
+//! Anchors: decoding and deformation.
+
+mod decode;
+mod gad;
+mod support;

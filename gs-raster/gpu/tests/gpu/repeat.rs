@@ -1,0 +1,102 @@
+//! The same call gives the same bits; what does not fit is refused by name; nothing depends on what was rendered before.
+
+use crate::adapter::{gpu, scene_with};
+use gs_core::{Color, Kernel, Splats, SplatsGrad};
+use gs_gpu::{GpuError, Renderer};
+use gs_raster::{Frame, FrameGrad, RasterOptions, ScreenStats, measure};
+
+/// A frame and its gradient by a renderer.
+fn both(
+    renderer: &mut Renderer,
+    splats: &Splats,
+    side: u32,
+    options: &RasterOptions,
+) -> (Frame, SplatsGrad, ScreenStats) {
+    let camera = measure::camera(side);
+    let (mut frame, mut grad, mut stats) = Default::default();
+    renderer.render_into(splats, &camera, options, &mut frame).expect("a frame");
+    let n = frame.alpha.len();
+    let wave = |k: usize| (0.37 * k as f32).sin();
+    let d = FrameGrad { rgb: (0..3 * n).map(wave).collect(), alpha: (0..n).map(wave).collect(), depth: vec![0.1; n] };
+    renderer.render_backward_into(splats, &camera, options, &d, &mut grad, &mut stats).expect("a gradient");
+    (frame, grad, stats)
+}
+
+#[test]
+fn two_renderers_give_the_same_bits_whatever_they_rendered_before() {
+    let Some(gpu) = gpu() else { return };
+    for (kernel, antialias) in [(false, false), (true, true)] {
+        let options = RasterOptions { antialias, background: [0.2, 0.4, 0.6], ..RasterOptions::default() };
+        let splats = scene_with(20_000, kernel);
+        let first = both(&mut Renderer::new(&gpu), &splats, 160, &options);
+        let mut used = Renderer::new(&gpu);
+        // A smaller scene, a larger image, few splats and none: buffers grow, and keep what lies behind what is in use.
+        both(&mut used, &scene_with(300, !kernel), 401, &options);
+        both(&mut used, &scene_with(3, kernel), 33, &options);
+        both(&mut used, &Splats::default(), 16, &options);
+        for _ in 0..3 {
+            assert!(both(&mut used, &splats, 160, &options) == first, "profile {kernel}");
+        }
+    }
+}
+
+#[test]
+fn colours_of_every_degree_and_plain_ones_agree_with_the_cpu() {
+    let Some(gpu) = gpu() else { return };
+    let mut renderer = Renderer::new(&gpu);
+    let options = RasterOptions::default();
+    let plain = Splats { color: Color::Rgb(vec![[0.2, -0.5, 7.0]; 500]), ..measure::scene(500, 0) };
+    let scenes = (0..=3).map(|degree| measure::scene(500, degree)).chain([plain]);
+    for splats in scenes {
+        let (frame, grad, _) = both(&mut renderer, &splats, 64, &options);
+        let want = gs_raster::render(&splats, &measure::camera(64), &options, &mut Default::default());
+        let far = frame.rgb.data.iter().zip(&want.rgb.data).filter(|(a, b)| (*a - *b).abs() > 1e-4).count();
+        assert!(far < 12, "{far} values differ"); // samples on a threshold
+        assert_eq!(grad.color.len(), 500 * splats.color.width());
+    }
+}
+
+#[test]
+fn nothing_to_draw_is_the_background() {
+    let Some(gpu) = gpu() else { return };
+    let options = RasterOptions { background: [0.1, 0.2, 0.3], ..RasterOptions::default() };
+    let mut hidden = measure::scene(5, 1);
+    hidden.means.iter_mut().for_each(|m| m.z = -50.0);
+    for splats in [Splats::default(), hidden] {
+        let (frame, grad, _) = both(&mut Renderer::new(&gpu), &splats, 20, &options);
+        assert!(frame.rgb.data.chunks(3).all(|c| c == [0.1, 0.2, 0.3]) && frame.alpha.iter().all(|&a| a == 0.0));
+        assert!(grad.means.iter().all(|m| *m == glam::Vec3::ZERO) && grad.means.len() == splats.len());
+    }
+}
+
+#[test]
+fn what_cannot_be_is_refused_by_name() {
+    let Some(gpu) = gpu() else { return };
+    let mut renderer = Renderer::new(&gpu);
+    let (splats, options) = (measure::scene(100, 0), RasterOptions::default());
+    let (mut frame, mut grad, mut stats) = (Frame::default(), SplatsGrad::default(), ScreenStats::default());
+    let d = FrameGrad { alpha: vec![1.0; 64 * 64], ..FrameGrad::default() };
+    let mut backward = |r: &mut Renderer, side| {
+        r.render_backward_into(&splats, &measure::camera(side), &options, &d, &mut grad, &mut stats)
+    };
+    assert_eq!(backward(&mut renderer, 64), Err(GpuError::NoFrame));
+    renderer.render_into(&splats, &measure::camera(64), &options, &mut frame).expect("a frame");
+    assert_eq!(backward(&mut renderer, 32), Err(GpuError::NoFrame), "a frame of another size");
+    assert_eq!(backward(&mut renderer, 64), Ok(()));
+
+    // Big faint splats over a big image: 16 million pairs, and 62 MiB for each number of them where 128 MiB are allowed.
+    let mut wide = measure::scene(10_000, 0);
+    wide.scales.fill(glam::Vec3::splat(10.0));
+    wide.opacities.fill(0.01);
+    wide.kernel = Kernel::Gaussian;
+    let camera = measure::camera(1024);
+    match renderer.render_into(&wide, &camera, &options, &mut frame) {
+        Err(e @ GpuError::TooLarge { .. }) => {
+            let text = e.to_string();
+            assert!(text.contains("MiB in one buffer") && text.contains("use fewer splats"), "{text}");
+        }
+        other => panic!("{other:?}"),
+    }
+    // The renderer goes on.
+    renderer.render_into(&splats, &measure::camera(64), &options, &mut frame).expect("a frame");
+}

@@ -1,0 +1,4 @@
+//! Generated scenes and their mechanics.
+
+mod mechanics;
+mod scenes;
