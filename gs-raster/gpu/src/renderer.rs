@@ -100,7 +100,7 @@ impl Renderer {
     /// Renders `splats` from `camera` into `frame`.
     ///
     /// `splats`, `camera` and `options` must have passed their `check`. The same call gives the same bits on the same
-    /// adapter and driver; against the CPU the tolerance table of `tests/raster/production.rs` holds.
+    /// adapter and driver; against the CPU the tolerance table of `gs-raster/tests/raster/production.rs` holds.
     ///
     /// # Errors
     /// Something does not fit the device, or it failed.
