@@ -8,14 +8,6 @@ use glam::Vec3;
 use gs_physics::truth::{self, Truth};
 use gs_physics::{ClassRule, Extrapolator, Integrator, Motion, Rollout, RowsError};
 
-const RULES: [Integrator; 6] = [
-    Integrator::Euler,
-    Integrator::MidParams,
-    Integrator::Rk2,
-    Integrator::Rk4,
-    Integrator::Se3Mid,
-    Integrator::Se3Magnus4,
-];
 const STEPS: [u32; 5] = [5, 15, 30, 60, 120];
 const UNIT: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
 
@@ -39,7 +31,7 @@ fn table(what: &str, truth: &Truth) -> Result<(), RowsError> {
     print!("{:<12}", "steps");
     STEPS.iter().for_each(|n| print!("{n:>11}"));
     println!("   error in f32");
-    for rule in RULES {
+    for rule in Integrator::ALL {
         print!("{:<12}", format!("{rule:?}"));
         for n in STEPS {
             print!("{:>11.1e}", position_error(truth, rule, n)?);

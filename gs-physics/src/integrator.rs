@@ -20,3 +20,8 @@ pub enum Integrator {
     /// Fourth-order Magnus series on SE(3), 4 / 4: for long steps and references.
     Se3Magnus4,
 }
+
+impl Integrator {
+    /// Every integrator.
+    pub const ALL: [Self; 6] = [Self::Euler, Self::MidParams, Self::Rk2, Self::Rk4, Self::Se3Mid, Self::Se3Magnus4];
+}

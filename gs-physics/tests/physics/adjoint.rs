@@ -12,15 +12,6 @@ use gs_physics::reference::{self, Pose};
 use gs_physics::{Integrator, Motion, ParticleState, RollTape, Rollout, Twist};
 use std::f64::consts::PI;
 
-const ALL: [Integrator; 6] = [
-    Integrator::Euler,
-    Integrator::MidParams,
-    Integrator::Rk2,
-    Integrator::Rk4,
-    Integrator::Se3Mid,
-    Integrator::Se3Magnus4,
-];
-
 fn random<const N: usize>(rng: &mut Rng) -> [f64; N] {
     std::array::from_fn(|_| f64::from(rng.normal()))
 }
@@ -85,7 +76,7 @@ fn a_translation_is_the_polynomial() {
 #[test]
 fn adjoints_match_differences() {
     let mut rng = Rng::new(1, "adjoint", 0, 0);
-    for rule in ALL {
+    for rule in Integrator::ALL {
         for case in 0..12 {
             let m = Motion::from_array(random(&mut rng));
             let pose = (random(&mut rng), unit(random(&mut rng)));
@@ -103,7 +94,7 @@ fn adjoints_match_differences() {
 fn adjoints_hold_at_hard_angles() {
     let mut rng = Rng::new(2, "adjoint", 0, 0);
     let angles = [0.0, 1e-12, 1e-7, 1e-6, 1e-3, 1e-2, 0.999, 1.001, 2.0, PI - 1e-3, PI, 2.0 * PI, 2.0 * PI + 1e-6];
-    for rule in ALL {
+    for rule in Integrator::ALL {
         for angle in angles {
             for h in [0.4, -0.4] {
                 let axis = unit([0.0, 0.3, -0.5, 0.8]);
@@ -183,7 +174,7 @@ fn worst(got: &[f32], want: &[f64]) -> f64 {
 fn production_follows_the_reference() {
     let scene = scene(533);
     let wide = |q: &[f32]| -> Vec<f64> { q.iter().map(|&v| f64::from(v)).collect() };
-    for rule in ALL {
+    for rule in Integrator::ALL {
         for span in [[0.1, 0.6], [0.3, -0.2]] {
             let rollout = rollout(rule);
             let Produced { means, quats, grads, start } = produce(&rollout, &scene, span);

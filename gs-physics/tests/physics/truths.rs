@@ -8,14 +8,6 @@ use gs_physics::{Integrator, Motion, Reduction, Rollout, Twist};
 use std::f64::consts::PI;
 
 const STEPS: [f64; 4] = [15.0, 30.0, 60.0, 120.0];
-const ALL: [Integrator; 6] = [
-    Integrator::Euler,
-    Integrator::MidParams,
-    Integrator::Rk2,
-    Integrator::Rk4,
-    Integrator::Se3Mid,
-    Integrator::Se3Magnus4,
-];
 const UNIT: [f64; 4] = [1.0, 0.0, 0.0, 0.0];
 
 fn roll(rule: Integrator, truth: &Truth, steps: f64) -> ([f64; 3], [f64; 4]) {
@@ -241,7 +233,7 @@ fn t10_there_and_back() {
 #[test]
 fn every_rule_is_its_affine_map() {
     let t = truth::tumble();
-    for rule in ALL {
+    for rule in Integrator::ALL {
         for (tau, h) in [(0.0, 0.1), (0.7, -0.3), (0.2, 0.0)] {
             let (map, q) = gs_physics::step_map(&t.motion, tau, h, rule);
             let rollout = Rollout { rule, dt: 1.0, origin: Vec3::ZERO };
