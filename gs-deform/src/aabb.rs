@@ -58,7 +58,7 @@ impl Aabb {
     }
 
     /// `1 / size` per axis; 0 along an axis without extent.
-    pub(crate) fn inverse_size(&self) -> Vec3 {
+    pub fn inverse_size(&self) -> Vec3 {
         Vec3::from_array((self.max - self.min).to_array().map(|v| if v > 0.0 { v.recip() } else { 0.0 }))
     }
 }

@@ -92,18 +92,21 @@ pub struct Adam {
     level: Level,
 }
 
-/// One update, its factors worked out.
-#[derive(Clone, Copy)]
-struct Factors {
-    beta1: f32,
-    beta2: f32,
+/// One update of a block, its factors worked out.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Factors {
+    /// `β₁`.
+    pub beta1: f32,
+    /// `β₂`.
+    pub beta2: f32,
     /// `lr / (1 − β₁ᵗ)`.
-    rate: f32,
+    pub rate: f32,
     /// `1 / sqrt(1 − β₂ᵗ)`.
-    root: f32,
-    eps: f32,
+    pub root: f32,
+    /// `ε`.
+    pub eps: f32,
     /// `1 − lr λ`.
-    keep: f32,
+    pub keep: f32,
 }
 
 impl Default for Adam {
@@ -133,6 +136,32 @@ impl Adam {
         self.updates.clear();
     }
 
+    /// Counts an update of the block of this name, which is made elsewhere, and gives its factors.
+    pub(crate) fn next(&mut self, name: &str, update: Update) -> Factors {
+        let t = match self.updates.get_mut(name) {
+            Some(t) => {
+                *t += 1;
+                *t
+            }
+            None => {
+                self.updates.insert(name.to_owned(), 1);
+                1
+            }
+        };
+        let o = self.options;
+        let correction = |beta: f32| 1.0 - f64::from(beta).powf(f64::from(t));
+        let risen = if t < update.ramp { f64::from(t) / f64::from(update.ramp) } else { 1.0 };
+        let rate = f64::from(update.rate) * risen;
+        Factors {
+            beta1: o.beta1,
+            beta2: o.beta2,
+            rate: (rate / correction(o.beta1)) as f32,
+            root: (1.0 / correction(o.beta2).sqrt()) as f32,
+            eps: update.eps,
+            keep: (1.0 - rate * f64::from(update.weight_decay)) as f32,
+        }
+    }
+
     /// Updates one block and clears its gradient. What was refused is added to `refused`.
     pub fn update(&mut self, p: &mut Param, update: Update, refused: &mut Refused) {
         let rows = self.update_run(p, update, 0..p.len());
@@ -141,28 +170,7 @@ impl Adam {
 
     /// The same of a run of values, in whole rows; the others, their moments and gradients stay.
     pub(crate) fn update_run(&mut self, p: &mut Param, update: Update, run: Range<usize>) -> RefusedRows {
-        let t = match self.updates.get_mut(&p.name) {
-            Some(t) => {
-                *t += 1;
-                *t
-            }
-            None => {
-                self.updates.insert(p.name.clone(), 1);
-                1
-            }
-        };
-        let o = self.options;
-        let correction = |beta: f32| 1.0 - f64::from(beta).powf(f64::from(t));
-        let risen = if t < update.ramp { f64::from(t) / f64::from(update.ramp) } else { 1.0 };
-        let rate = f64::from(update.rate) * risen;
-        let factors = Factors {
-            beta1: o.beta1,
-            beta2: o.beta2,
-            rate: (rate / correction(o.beta1)) as f32,
-            root: (1.0 / correction(o.beta2).sqrt()) as f32,
-            eps: update.eps,
-            keep: (1.0 - rate * f64::from(update.weight_decay)) as f32,
-        };
+        let factors = self.next(&p.name, update);
         let width = p.row_width.unwrap_or(1);
         let piece = width * (PIECE / width).max(1);
         let (sparse, shared, level) = (update.sparse, p.row_width.is_none(), self.level);

@@ -1,13 +1,14 @@
 //! The cloud of Gaussians that several methods share, with its densification.
 
 use crate::densify::{Densify, DensifyContext, DensifyRules, DensifyStats, GaussianRows, GrowthLimits};
-use crate::method::{Buffer, BufferMut, MethodError};
+use crate::method::{Buffer, BufferMut, MethodError, MovedCloud};
 use crate::scene::{self, CloudConfig, SceneInfo};
 use crate::schedule::{Background, Schedule};
 use crate::step::StepCtx;
 use gs_core::param::RowEditError;
-use gs_core::{Camera, Cloud, Param, RowEdit, Splats, SplatsGrad};
+use gs_core::{Camera, Cloud, Param, RowEdit, Splats, SplatsGrad, Time};
 use gs_raster::ScreenStats;
+use std::any::Any;
 
 /// A canonical cloud under training, with the scratch of one step.
 #[derive(Clone, Debug)]
@@ -125,6 +126,16 @@ impl Canonical {
             self.densify.clear(self.cloud.len());
         }
         Ok(stats)
+    }
+
+    /// The step begun, moved by a field as it is at `time` ([`Method::moved_cloud`](crate::method::Method::moved_cloud)).
+    pub fn moved_by<'a>(&'a self, field: Option<&'a dyn Any>, time: Time) -> MovedCloud<'a> {
+        let Self { at, cloud, .. } = self;
+        let resets = self.edits() && self.rules.resets_at(at.clock, self.white);
+        let edits = self.needs_whole_rows() || resets || at.ends_clock;
+        let moves = at.dynamic && field.is_some();
+        let (sh_degree, counts, keeps_sizes) = (self.sh_degree(), self.densifies(), at.deform_only);
+        MovedCloud { cloud, sh_degree, field, moves, keeps_sizes, time, counts, edits }
     }
 
     /// Whether a block takes part in the step begun: what moves the cloud does not while it stands still.

@@ -1,4 +1,8 @@
-//! The device that frames are rendered on.
+//! The device that frames are rendered on, and that makes whole steps of training where it can.
+
+mod steps;
+
+pub use steps::{DeviceLoss, DeviceStep, DeviceSteps};
 
 use gs_raster::{DeviceError, Rasterizer, Workspace};
 use std::fmt;
@@ -20,9 +24,11 @@ use std::sync::Arc;
 pub struct Device {
     name: Arc<str>,
     open: Arc<Open>,
+    steps: Option<Arc<OpenSteps>>,
 }
 
 type Open = dyn Fn() -> Result<Box<dyn Rasterizer>, DeviceError> + Send + Sync;
+type OpenSteps = dyn Fn() -> Result<Box<dyn DeviceSteps>, DeviceError> + Send + Sync;
 
 /// Name of the CPU as a device.
 pub const CPU: &str = "cpu";
@@ -33,7 +39,15 @@ impl Device {
         name: impl Into<Arc<str>>,
         open: impl Fn() -> Result<Box<dyn Rasterizer>, DeviceError> + Send + Sync + 'static,
     ) -> Self {
-        Self { name: name.into(), open: Arc::new(open) }
+        Self { name: name.into(), open: Arc::new(open), steps: None }
+    }
+
+    /// The same device, which makes whole steps of training as well.
+    pub fn with_steps(
+        self,
+        steps: impl Fn() -> Result<Box<dyn DeviceSteps>, DeviceError> + Send + Sync + 'static,
+    ) -> Self {
+        Self { steps: Some(Arc::new(steps)), ..self }
     }
 
     /// `cpu`, or the name of the adapter.
@@ -52,6 +66,14 @@ impl Device {
     /// If the device fails.
     pub fn open(&self) -> Result<Box<dyn Rasterizer>, DeviceError> {
         (self.open)()
+    }
+
+    /// What makes whole steps, if the device does.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn open_steps(&self) -> Result<Option<Box<dyn DeviceSteps>>, DeviceError> {
+        self.steps.as_ref().map(|open| open()).transpose()
     }
 }
 

@@ -133,6 +133,11 @@ impl ImageLoss {
         Self { depth: weight, ..self }
     }
 
+    /// Weight of the mean absolute difference.
+    pub(crate) fn l1_weight(&self) -> f32 {
+        self.l1
+    }
+
     /// Whether measured depth counts.
     pub fn needs_depth(&self) -> bool {
         self.depth > 0.0

@@ -11,8 +11,9 @@ use crate::capabilities::Capabilities;
 use crate::densify::DensifyStats;
 use crate::step::StepCtx;
 use crate::timestamp::Timestamp;
-use gs_core::{Camera, Params, Splats, SplatsGrad, SplatsRef};
+use gs_core::{Camera, Cloud, Params, Splats, SplatsGrad, SplatsRef, Time};
 use gs_raster::ScreenStats;
+use std::any::Any;
 
 pub use crate::error::MethodError;
 
@@ -72,6 +73,12 @@ pub trait Method: Params + Buffers + Send + Sync {
         Ok(StepEvents::default())
     }
 
+    /// The step begun in parts, for a device that makes whole steps ([`crate::device::DeviceSteps`]). None if it is more than a
+    /// cloud, a field that moves it and the regularisers of that field.
+    fn moved_cloud(&self, _view: &ViewCtx<'_>) -> Option<MovedCloud<'_>> {
+        None
+    }
+
     /// Number of splats, at most (an anchor counts with all it can be decoded to).
     fn splat_count(&self) -> usize;
 
@@ -93,6 +100,27 @@ pub struct ViewCtx<'a> {
     pub camera: &'a Camera,
     /// Whether this is the last view drawn for the step.
     pub last: bool,
+}
+
+/// A step of a method that is a cloud and a field that moves it.
+#[derive(Clone, Copy)]
+pub struct MovedCloud<'a> {
+    /// The raw Gaussians.
+    pub cloud: &'a Cloud,
+    /// Degree of the spherical harmonics that are rendered.
+    pub sh_degree: u8,
+    /// The field that moves it, a type of gs-deform, if there is one.
+    pub field: Option<&'a dyn Any>,
+    /// Whether the field takes part in this step; otherwise the cloud is rendered where it is.
+    pub moves: bool,
+    /// Whether scales have no gradient in this step ([`StepCtx::keep_sizes`]).
+    pub keeps_sizes: bool,
+    /// What the field is asked for.
+    pub time: Time,
+    /// Whether the view counts in the statistics of densification.
+    pub counts: bool,
+    /// Whether the coming [`Method::end_step`] reads or changes parameters or statistics.
+    pub edits: bool,
 }
 
 /// Renders the splats of a training view, compares them with the ground-truth image, and pulls the loss back to the splats.

@@ -21,6 +21,8 @@ pub struct Model {
     schedule: Schedule,
     /// Terms of the image loss beside those of the schedule, with their weights.
     losses: Vec<(f32, Box<dyn LossTerm>)>,
+    /// Whether there were any.
+    own_losses: bool,
     cameras: Cameras,
     /// Maps to the colours of training images.
     exposures: Exposures,
@@ -35,7 +37,8 @@ impl Model {
         schedule.check()?;
         let (losses, cameras) = Default::default();
         let exposures = Exposures::default();
-        let mut model = Self { name, method: Box::new(method), schedule, losses, cameras, exposures };
+        let method: Box<dyn Method> = Box::new(method);
+        let mut model = Self { name, method, schedule, losses, own_losses: false, cameras, exposures };
         model.begin_step(0);
         Ok(model)
     }
@@ -43,6 +46,7 @@ impl Model {
     /// The same with a term of the method's own in the image loss; at weight 0 it is not computed.
     pub fn with_loss(mut self, weight: f32, term: impl LossTerm + 'static) -> Self {
         self.losses.push((weight, Box::new(term)));
+        self.own_losses |= weight > 0.0;
         self
     }
 
@@ -97,6 +101,11 @@ impl Model {
     /// The same, to be changed.
     pub(crate) fn exposures_mut(&mut self) -> &mut Exposures {
         &mut self.exposures
+    }
+
+    /// Whether the method has terms of its own in the image loss.
+    pub(crate) fn has_own_losses(&self) -> bool {
+        self.own_losses
     }
 
     /// The image loss of the schedule and the terms of the method's own, which it takes from the model.
@@ -198,7 +207,8 @@ impl Model {
     fn with(&self, method: Box<dyn Method>) -> Self {
         let (schedule, cameras) = (self.schedule.clone(), self.cameras.clone());
         let exposures = self.exposures.clone();
-        Self { name: self.name, method, schedule, losses: Vec::new(), cameras, exposures }
+        let own_losses = self.own_losses;
+        Self { name: self.name, method, schedule, losses: Vec::new(), own_losses, cameras, exposures }
     }
 }
 

@@ -26,6 +26,7 @@ use std::sync::Arc;
 mod coding;
 mod error;
 mod learn;
+mod on_device;
 mod prefetch;
 mod render_pass;
 mod share;
@@ -35,6 +36,7 @@ mod view_order;
 
 pub use error::TrainError;
 use learn::Learnt;
+use on_device::Resident;
 use prefetch::Prefetch;
 pub use render_pass::Phases;
 use render_pass::{RenderPass, Stopwatch};
@@ -96,6 +98,7 @@ pub struct Trainer {
     prefetch: Prefetch,
     pass: RenderPass,
     device: Device,
+    resident: Resident,
     order: ViewOrder,
     /// Update rules of the present step, by the name of a block.
     updates: BTreeMap<String, Option<Update>>,
@@ -162,6 +165,7 @@ impl Trainer {
             prefetch: Prefetch::default(),
             pass,
             device: Device::default(),
+            resident: Resident::default(),
             order,
             updates,
             step: 0,
@@ -202,11 +206,12 @@ impl Trainer {
     /// # Errors
     /// As [`Trainer::resume`].
     pub fn with_more_views(
-        self,
+        mut self,
         registry: &Registry,
         dataset: Arc<Dataset>,
         config: &toml::Table,
     ) -> Result<Self, TrainError> {
+        self.fetch()?;
         let next = Self::resume_with_more_views(registry, dataset, &self.state(), config, self.options.image_bytes)?;
         Ok(Self { images: self.images, ..next.on(&self.device)? })
     }
@@ -229,13 +234,15 @@ impl Trainer {
         Self::resume(registry, dataset, &saved::save(&loaded.model, &run), None, image_bytes)
     }
 
-    /// The whole state, bit for bit. With ranks, [`Self::gather`] is called first.
+    /// The whole state, bit for bit. With ranks or a device that makes whole steps, [`Self::gather`] is called first.
     pub fn state(&self) -> Checkpoint {
+        debug_assert!(!self.resident.is_newer(), "gather first");
         saved::save(&self.model, &self.run_state(&self.config, &self.scene))
     }
 
-    /// What rendering the scene as it stands needs ([`saved::save_for_rendering`]).
+    /// What rendering the scene as it stands needs ([`saved::save_for_rendering`]). [`Self::fetch`] is called first.
     pub fn state_for_rendering(&self) -> Checkpoint {
+        debug_assert!(!self.resident.is_newer(), "fetch first");
         saved::save_for_rendering(&self.model, &self.run_state(&self.config, &self.scene))
     }
 
@@ -270,10 +277,17 @@ impl Trainer {
         if step > self.steps() {
             return Err(TrainError::Finished(self.steps()));
         }
-        self.begin_step(step);
-        let Learnt { loss, penalties, refused: refused_in_views, views, mut ms } = self.learn(step)?;
-
-        let refused = self.update(&mut ms)?;
+        self.begin_step(step)?;
+        let (learnt, refused) = match self.step_on_device(step)? {
+            Some(done) => done,
+            None => {
+                self.leave_device()?;
+                let mut learnt = self.learn(step)?;
+                let refused = self.update(&mut learnt.ms)?;
+                (learnt, refused)
+            }
+        };
+        let Learnt { loss, penalties, refused: refused_in_views, views, mut ms } = learnt;
         self.check_refused(&refused, step, &views)?;
 
         let mut clock = Stopwatch::new();
@@ -303,12 +317,13 @@ impl Trainer {
     }
 
     /// The size of training images and the moments of the optimiser change at the border of stages, rates with every step.
-    fn begin_step(&mut self, step: u32) {
+    fn begin_step(&mut self, step: u32) -> Result<(), TrainError> {
         let scale = self.schedule().stage(step).map_or(1.0, |s| s.image_scale);
         if scale != self.images.scale() {
             self.images = Arc::new(image_cache(&self.dataset, &self.options, scale));
         }
         if self.schedule().position(step).fresh {
+            self.leave_device()?;
             self.model.visit_mut(&mut Param::clear_moments);
             self.adam.restart();
         }
@@ -320,6 +335,7 @@ impl Trainer {
                 updates.insert(p.name.clone(), model.update(p, step, extent));
             }
         });
+        Ok(())
     }
 
     /// Optimizer steps made, those of earlier sessions included.
@@ -337,7 +353,7 @@ impl Trainer {
         self.seconds
     }
 
-    /// The model with the parameters reached so far.
+    /// The model with the parameters reached so far; [`Self::fetch`] is called first.
     pub fn model(&self) -> &Model {
         &self.model
     }

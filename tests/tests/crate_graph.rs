@@ -17,6 +17,7 @@ const GRAPH: &[(&str, &str, &[&str])] = &[
     ("gs-data", "gs-train/data", &["gs-core", "gs-texel"]),
     ("gs-synth", "gs-train/synth", &["gs-core", "gs-data", "gs-physics", "gs-texel"]),
     ("gs-train", "gs-train", &["gs-core", "gs-data", "gs-metrics", "gs-raster"]),
+    ("gs-train-gpu", "gs-train/gpu", &["gs-core", "gs-data", "gs-deform", "gs-gpu", "gs-raster", "gs-train"]),
     ("gs-method-field", "gs-train/methods/field", &["gs-core", "gs-deform", "gs-train"]),
     ("gs-method-anchor", "gs-train/methods/anchor", &["gs-anchor", "gs-core", "gs-deform", "gs-raster", "gs-train"]),
     ("gs-method-physics", "gs-train/methods/physics", &["gs-core", "gs-deform", "gs-physics", "gs-raster", "gs-train"]),

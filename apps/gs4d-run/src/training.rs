@@ -267,7 +267,7 @@ impl Training {
     pub fn train(
         &mut self,
         stop: &AtomicBool,
-        on_step: &mut dyn FnMut(Progress, &Trainer),
+        on_step: &mut dyn FnMut(Progress, &mut Trainer),
     ) -> Result<Outcome, RunError> {
         loop {
             let step = self.trainer.steps_done();
@@ -285,7 +285,7 @@ impl Training {
         }
     }
 
-    fn step(&mut self, on_step: &mut dyn FnMut(Progress, &Trainer)) -> Result<(), RunError> {
+    fn step(&mut self, on_step: &mut dyn FnMut(Progress, &mut Trainer)) -> Result<(), RunError> {
         let report = match self.trainer.step() {
             Ok(report) => report,
             Err(error) => {
@@ -300,7 +300,8 @@ impl Training {
         let run = &self.resolved.run;
         let (log, evaluation, save) = (due(run.log_every), due(run.eval_every), due(run.checkpoint_every));
         let histograms = due(run.histogram_every);
-        on_step(self.progress(), &self.trainer);
+        let progress = self.progress();
+        on_step(progress, &mut self.trainer);
         if log || report.step == self.trainer.steps() {
             let line = self.window.line(&report, self.trainer.train_seconds());
             self.logs.steps.add(&line, &self.patience.warn);
@@ -334,6 +335,7 @@ impl Training {
 
     /// Adds the quantities of the splats to their own log, if the method has any.
     fn log_histograms(&mut self) -> Result<(), RunError> {
+        self.trainer.fetch()?;
         let snapshot = Snapshot::of(self.trainer.model())?;
         if snapshot.is_empty() {
             return Ok(());
@@ -347,6 +349,7 @@ impl Training {
 
     /// Scores a few validation views (test views are left for the end) and logs the means.
     fn evaluate_while_training(&mut self) -> Result<(), RunError> {
+        self.trainer.fetch()?;
         let dataset = self.trainer.dataset();
         let split = if dataset.val.is_empty() { Split::Train } else { Split::Val };
         let few = few_views(dataset, split, self.resolved.run.eval_views as usize);

@@ -135,7 +135,7 @@ impl Feed {
     }
 
     /// Copies the state if a browser is connected and a copy is due; call it after each step.
-    pub fn offer(&mut self, progress: Progress, trainer: &Trainer) {
+    pub fn offer(&mut self, progress: Progress, trainer: &mut Trainer) {
         self.history.lock().unwrap_or_else(PoisonError::into_inner).add(&progress);
         let last = progress.step == progress.steps;
         let due = last || Instant::now() >= self.pace.ready();
@@ -144,6 +144,10 @@ impl Feed {
             return;
         }
         let begun = Instant::now();
+        if trainer.fetch().is_err() {
+            // The next step says so.
+            return self.building.store(false, Ordering::SeqCst);
+        }
         let copy = trainer.state_for_rendering();
         // If the thread has failed, the last state stays on screen.
         let _ = self.copies.try_send((copy, progress, begun.elapsed()));

@@ -1,4 +1,4 @@
-//! `--device`: what renders frames.
+//! `--device`: what renders frames, and makes steps of training where it can.
 
 use crate::failure::{Class, Failure};
 use crate::global::Global;
@@ -87,5 +87,5 @@ fn gpu_if_any() -> Result<Device, String> {
 
 #[cfg(feature = "gpu")]
 fn of(gpu: gs_gpu::Gpu) -> Device {
-    Device::new(gpu.description(), move || Ok(Box::new(gs_gpu::Renderer::new(&gpu))))
+    gs_train_gpu::device(&gpu)
 }

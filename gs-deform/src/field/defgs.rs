@@ -132,7 +132,8 @@ impl DefMlp {
         &self.config
     }
 
-    fn apply(&self) -> Apply {
+    /// The rules by which its offsets are applied.
+    pub fn rule(&self) -> Apply {
         Apply { scale: self.config.scale_rule, quat: self.config.quat_rule, scale_limit: None }
     }
 }
@@ -147,7 +148,7 @@ impl Field for DefMlp {
         let columns = canonical.chunks(BLOCK).zip(out.view_mut().chunks(BLOCK));
         tape.blocks.par_iter_mut().zip(columns).for_each(|(block, (from, mut to))| {
             self.net.forward_block(&tape.net, from.means, block);
-            self.apply().forward(from, block.offsets.view(), &mut to);
+            self.rule().forward(from, block.offsets.view(), &mut to);
         });
     }
 
@@ -170,7 +171,7 @@ impl Field for DefMlp {
             self.net.reset(grad);
             for (i, block) in blocks.iter_mut().enumerate() {
                 let (offsets, d_offsets) = (block.offsets.view(), &mut block.d_offsets);
-                self.apply().backward(
+                self.rule().backward(
                     from.block(i, BLOCK),
                     offsets,
                     d_to.block(i, BLOCK),

@@ -5,6 +5,7 @@ use crate::error::GpuError;
 use crate::kernels::{Kernel, Kernels};
 use crate::memory::{Array, Readback};
 use crate::renderer::{Renderer, copy};
+use crate::resident::Shape;
 use crate::sort::groups;
 use crate::view::View;
 use gs_core::{Camera, SplatsGrad, SplatsRef};
@@ -23,11 +24,11 @@ const SMALL_GROUP: u64 = 64;
 
 /// What a backward pass computes on its way.
 pub(crate) struct Backward {
-    d_frame: Array,
+    pub d_frame: Array,
     records: Array,
     sums: Array,
-    grads: Array,
-    d_colors: Array,
+    pub grads: Array,
+    pub d_colors: Array,
     camera: Array,
     readback: Readback,
 }
@@ -41,7 +42,7 @@ impl Backward {
             grads: Array::new(gpu, "gradients of splats"),
             d_colors: Array::new(gpu, "gradients of colours"),
             camera: Array::new(gpu, "gradient of the camera"),
-            readback: Readback::new(),
+            readback: Readback::default(),
         }
     }
 }
@@ -96,7 +97,7 @@ impl Renderer {
         camera_grad: Option<&mut CameraGrad>,
     ) -> Result<(), GpuError> {
         let (view, with_profile) = self.last.ok_or(GpuError::NoFrame)?;
-        if !view.same_shape(&View::new(splats, camera, options, 0)) {
+        if !view.same_shape(&View::new(Shape::of(splats), camera, options, 0)) {
             return Err(GpuError::NoFrame);
         }
         grad.reset(splats);
@@ -104,11 +105,12 @@ impl Renderer {
             *stats = ScreenStats::default();
             return Ok(());
         }
-        self.prepare(&view, splats, d)?;
+        self.make_room_for_gradients(&view, splats.color.width())?;
+        self.write_cotangents(&view, d);
         let gpu = self.gpu.clone();
         let desc = wgpu::CommandEncoderDescriptor { label: Some("gradient") };
         let mut encoder = gpu.device().create_command_encoder(&desc);
-        self.encode(&mut encoder, gpu.kernels(with_profile), &view, camera_grad.is_some());
+        self.encode_gradients(&mut encoder, gpu.kernels(with_profile), &view, camera_grad.is_some());
         let b = &mut self.backward;
         let mut sum = CameraGrad::default();
         let with_camera = [&b.grads, &b.d_colors, &b.camera];
@@ -124,24 +126,33 @@ impl Renderer {
         Ok(())
     }
 
-    fn prepare(&mut self, view: &View, splats: SplatsRef<'_>, d: &FrameGrad) -> Result<(), GpuError> {
+    /// `colors` is the number of values of a splat's colour.
+    pub(crate) fn make_room_for_gradients(&mut self, view: &View, colors: usize) -> Result<(), GpuError> {
         let (gpu, b) = (&self.gpu, &mut self.backward);
-        let [width, height] = view.size().map(u64::from);
-        let pixels = 4 * width * height;
-        b.d_frame.resize(gpu, 5 * pixels)?;
-        b.d_frame.write_or_zero(gpu, 0, 3 * pixels, &d.rgb);
-        b.d_frame.write_or_zero(gpu, 3 * pixels, pixels, &d.alpha);
-        b.d_frame.write_or_zero(gpu, 4 * pixels, pixels, &d.depth);
+        b.d_frame.resize(gpu, 5 * bytes_of_a_plane(view))?;
         let n = u64::from(view.splats());
         b.records.resize(gpu, RECORD * u64::from(view.entries()))?;
         b.sums.resize(gpu, RECORD * n)?;
         b.grads.resize(gpu, ROW * n)?;
         b.camera.resize(gpu, ROW * n.div_ceil(SMALL_GROUP))?;
-        b.d_colors.resize(gpu, 4 * n * splats.color.width() as u64)
+        b.d_colors.resize(gpu, 4 * n * colors as u64)
+    }
+
+    fn write_cotangents(&self, view: &View, d: &FrameGrad) {
+        let (to, pixels) = (&self.backward.d_frame, bytes_of_a_plane(view));
+        to.write_or_zero(&self.gpu, 0, 3 * pixels, &d.rgb);
+        to.write_or_zero(&self.gpu, 3 * pixels, pixels, &d.alpha);
+        to.write_or_zero(&self.gpu, 4 * pixels, pixels, &d.depth);
     }
 
     /// Blend backward, the sums of each splat, and what they pull back.
-    fn encode(&mut self, encoder: &mut wgpu::CommandEncoder, kernels: &Kernels, view: &View, with_camera: bool) {
+    pub(crate) fn encode_gradients(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        kernels: &Kernels,
+        view: &View,
+        with_camera: bool,
+    ) {
         let (gpu, w, c, b) = (&self.gpu, &self.work, &self.columns, &self.backward);
         let run = |pass: &mut wgpu::ComputePass<'_>, k: &Kernel, arrays: &[&Array], size| {
             k.run(pass, &k.bind(gpu.device(), arrays), size);
@@ -175,6 +186,12 @@ impl Renderer {
             run(pass, &kernels.camera_backward, &geometry, groups(n, SMALL_GROUP));
         }
     }
+}
+
+/// Bytes of one number per pixel.
+fn bytes_of_a_plane(view: &View) -> u64 {
+    let [width, height] = view.size().map(u64::from);
+    4 * width * height
 }
 
 /// Columns of gradients, one after another, into those of the host; the order is that of `geometry_backward.wgsl`.

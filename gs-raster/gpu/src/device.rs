@@ -148,11 +148,13 @@ impl Gpu {
         self.inner.info.device_type == wgpu::DeviceType::Cpu
     }
 
-    pub(crate) fn device(&self) -> &wgpu::Device {
+    /// The device behind it, for kernels of one's own.
+    pub fn device(&self) -> &wgpu::Device {
         &self.inner.device
     }
 
-    pub(crate) fn queue(&self) -> &wgpu::Queue {
+    /// Its queue.
+    pub fn queue(&self) -> &wgpu::Queue {
         &self.inner.queue
     }
 
@@ -168,8 +170,11 @@ impl Gpu {
         self.inner.float_atomics
     }
 
-    /// The first fault since the last call, as an error.
-    pub(crate) fn check(&self) -> Result<(), GpuError> {
+    /// Looks for a fault since the last look.
+    ///
+    /// # Errors
+    /// The first fault.
+    pub fn check(&self) -> Result<(), GpuError> {
         let fault = self.inner.faults.first.lock().unwrap_or_else(PoisonError::into_inner).take();
         let adapter = self.inner.info.name.clone();
         match fault {

@@ -2,18 +2,21 @@
 
 use crate::memory::Array;
 
-/// What a binding holds.
-#[derive(Clone, Copy)]
-enum Bind {
+/// What a binding of a kernel holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Bind {
+    /// A uniform.
     Uniform,
+    /// A storage array that is read only.
     Read,
+    /// A storage array that is written.
     Write,
 }
 
 use Bind::{Read, Uniform, Write};
 
 /// One compute kernel.
-pub(crate) struct Kernel {
+pub struct Kernel {
     pipeline: wgpu::ComputePipeline,
     layout: wgpu::BindGroupLayout,
 }
@@ -139,7 +142,9 @@ impl Kernels {
 }
 
 impl Kernel {
-    fn new(device: &wgpu::Device, name: &str, source: &str, entry: &str, binds: &[Bind]) -> Self {
+    /// The entry point `entry` of a WGSL source, its bindings numbered from 0 in group 0. A source that is not valid is a fault of
+    /// the device, met by the next call that can fail.
+    pub fn new(device: &wgpu::Device, name: &str, source: &str, entry: &str, binds: &[Bind]) -> Self {
         let entries: Vec<_> = (0..).zip(binds).map(|(binding, bind)| layout_entry(binding, *bind)).collect();
         let layout =
             device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(name), entries: &entries });
@@ -165,13 +170,13 @@ impl Kernel {
         Self { pipeline, layout }
     }
 
-    /// Binds arrays, one for each binding in order.
-    pub(crate) fn bind(&self, device: &wgpu::Device, arrays: &[&Array]) -> wgpu::BindGroup {
+    /// Binds whole arrays, one for each binding in order.
+    pub fn bind(&self, device: &wgpu::Device, arrays: &[&Array]) -> wgpu::BindGroup {
         self.bind_resources(device, arrays.iter().map(|a| a.binding()))
     }
 
     /// [`Kernel::bind`] where the first binding is a part of an array.
-    pub(crate) fn bind_part(
+    pub fn bind_part(
         &self,
         device: &wgpu::Device,
         part: wgpu::BindingResource<'_>,
@@ -180,7 +185,8 @@ impl Kernel {
         self.bind_resources(device, std::iter::once(part).chain(arrays.iter().map(|a| a.binding())))
     }
 
-    fn bind_resources<'a>(
+    /// Binds arrays or parts of arrays, one for each binding in order.
+    pub fn bind_resources<'a>(
         &self,
         device: &wgpu::Device,
         resources: impl Iterator<Item = wgpu::BindingResource<'a>>,
@@ -190,8 +196,8 @@ impl Kernel {
         device.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout: &self.layout, entries: &entries })
     }
 
-    /// Runs the kernel over `groups` workgroups.
-    pub(crate) fn run(&self, pass: &mut wgpu::ComputePass<'_>, group: &wgpu::BindGroup, [x, y]: [u32; 2]) {
+    /// Runs the kernel over columns and rows of workgroups.
+    pub fn run(&self, pass: &mut wgpu::ComputePass<'_>, group: &wgpu::BindGroup, [x, y]: [u32; 2]) {
         if x == 0 || y == 0 {
             return;
         }

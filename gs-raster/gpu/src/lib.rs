@@ -59,10 +59,15 @@ mod memory;
 mod probe;
 mod rasterizer;
 mod renderer;
+mod resident;
 mod sort;
 mod timer;
 mod view;
 
 pub use device::{Gpu, GpuOptions};
 pub use error::GpuError;
+pub use kernels::{Bind, Kernel};
+pub use memory::{Array, Readback};
 pub use renderer::Renderer;
+pub use resident::{FrameArrays, Shape, SplatArrays};
+pub use sort::groups;

@@ -5,7 +5,7 @@ use crate::error::GpuError;
 use std::sync::mpsc;
 
 /// An array on the device.
-pub(crate) struct Array {
+pub struct Array {
     what: &'static str,
     buffer: wgpu::Buffer,
     /// Bytes in use; the buffer may be larger.
@@ -17,12 +17,15 @@ const LEAST: u64 = 16;
 
 impl Array {
     /// An array that holds nothing yet; `what` names it in errors.
-    pub(crate) fn new(gpu: &Gpu, what: &'static str) -> Self {
+    pub fn new(gpu: &Gpu, what: &'static str) -> Self {
         Self { what, buffer: storage(gpu, what, LEAST), bytes: LEAST }
     }
 
     /// Gives the array a length of `bytes`; what it held is lost where it has to grow.
-    pub(crate) fn resize(&mut self, gpu: &Gpu, bytes: u64) -> Result<(), GpuError> {
+    ///
+    /// # Errors
+    /// The device allows no buffer of this size, or has no memory for it.
+    pub fn resize(&mut self, gpu: &Gpu, bytes: u64) -> Result<(), GpuError> {
         let bytes = if bytes == 0 { LEAST } else { bytes.next_multiple_of(4) };
         if self.buffer.size() >= bytes {
             self.bytes = bytes;
@@ -41,8 +44,11 @@ impl Array {
         gpu.check().inspect_err(|_| *self = Self::new(gpu, self.what))
     }
 
-    /// Writes values from the start on.
-    pub(crate) fn upload<T: bytemuck::NoUninit>(&mut self, gpu: &Gpu, values: &[T]) -> Result<(), GpuError> {
+    /// Gives the array the length of these values, and writes them before the next work that is submitted.
+    ///
+    /// # Errors
+    /// As [`Array::resize`].
+    pub fn upload<T: bytemuck::NoUninit>(&mut self, gpu: &Gpu, values: &[T]) -> Result<(), GpuError> {
         let bytes: &[u8] = bytemuck::cast_slice(values);
         self.resize(gpu, bytes.len() as u64)?;
         if !bytes.is_empty() {
@@ -59,23 +65,23 @@ impl Array {
         }
     }
 
-    /// The buffer behind it.
-    pub(crate) fn buffer(&self) -> &wgpu::Buffer {
+    /// The buffer behind it, which may be larger.
+    pub fn buffer(&self) -> &wgpu::Buffer {
         &self.buffer
     }
 
     /// Bytes in use.
-    pub(crate) fn bytes(&self) -> u64 {
+    pub fn bytes(&self) -> u64 {
         self.bytes
     }
 
     /// The part in use, for a bind group.
-    pub(crate) fn binding(&self) -> wgpu::BindingResource<'_> {
+    pub fn binding(&self) -> wgpu::BindingResource<'_> {
         self.part(0, self.bytes)
     }
 
     /// A part, for a bind group; offsets are multiples of 256.
-    pub(crate) fn part(&self, offset: u64, bytes: u64) -> wgpu::BindingResource<'_> {
+    pub fn part(&self, offset: u64, bytes: u64) -> wgpu::BindingResource<'_> {
         let size = std::num::NonZeroU64::new(bytes);
         wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: &self.buffer, offset, size })
     }
@@ -91,17 +97,17 @@ fn storage(gpu: &Gpu, what: &'static str, size: u64) -> wgpu::Buffer {
 }
 
 /// Copies arrays to the host, one after another, through one buffer.
-pub(crate) struct Readback {
+#[derive(Default)]
+pub struct Readback {
     buffer: Option<wgpu::Buffer>,
 }
 
 impl Readback {
-    pub(crate) const fn new() -> Self {
-        Self { buffer: None }
-    }
-
-    /// Appends the copies of `arrays` to `encoder`, submits it, waits, and hands the bytes of each array to `take`.
-    pub(crate) fn submit(
+    /// Appends the copies of `arrays` to `encoder`, submits it, waits, and hands number and bytes of each array to `take`.
+    ///
+    /// # Errors
+    /// The device failed.
+    pub fn submit(
         &mut self,
         gpu: &Gpu,
         mut encoder: wgpu::CommandEncoder,

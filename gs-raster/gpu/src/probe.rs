@@ -42,6 +42,6 @@ pub(crate) fn exp2_error(gpu: &Gpu) -> Option<f64> {
         let errors = x.iter().zip(y).map(|(&x, y)| (f64::from(y) / f64::from(x).exp2() - 1.0).abs());
         worst = errors.fold(0.0, f64::max);
     };
-    Readback::new().submit(gpu, encoder, &[&output], measure).ok()?;
+    Readback::default().submit(gpu, encoder, &[&output], measure).ok()?;
     Some(worst)
 }

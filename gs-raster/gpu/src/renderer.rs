@@ -5,6 +5,7 @@ use crate::device::Gpu;
 use crate::error::GpuError;
 use crate::kernels::{Kernels, projected_stride};
 use crate::memory::{Array, Readback};
+use crate::resident::Shape;
 use crate::sort::{Pairs, Sort, Sorter, groups, scan, sums_bytes};
 use crate::timer::Timer;
 use crate::view::{View, profiles};
@@ -92,7 +93,7 @@ impl Renderer {
             work: Work::new(gpu),
             backward: Backward::new(gpu),
             timer: Timer::new(),
-            readback: Readback::new(),
+            readback: Readback::default(),
             last: None,
         }
     }
@@ -116,38 +117,27 @@ impl Renderer {
         let with_profile = !matches!(splats.kernel, Kernel::Gaussian);
         if splats.is_empty() {
             background(camera, options, frame);
-            self.last = Some((View::new(splats, camera, options, 0), with_profile));
+            self.last = Some((View::new(Shape::of(splats), camera, options, 0), with_profile));
             return Ok(());
         }
         self.upload(splats, options)?;
-        let rows = cast::to_u32(splats.len());
-        let held = u32::try_from(self.work.entry_tiles.bytes() / 4).unwrap_or(u32::MAX);
-        let mut entries = held.max(FIRST_ENTRIES.saturating_mul(rows)).max(LEAST_ENTRIES);
+        let mut entries = self.room(cast::to_u32(splats.len()));
         loop {
-            let view = View::new(splats, camera, options, entries);
+            let view = View::new(Shape::of(splats), camera, options, entries);
             let total = self.attempt(&view, with_profile, frame)?;
             if total <= entries {
                 self.last = Some((view, with_profile));
                 return Ok(());
             }
-            entries = total.saturating_add(total / 8);
+            entries = with_reserve(total);
         }
     }
 
     /// Renders with room for a number of entries; returns the number that the frame has.
     fn attempt(&mut self, view: &View, with_profile: bool, frame: &mut Frame) -> Result<u32, GpuError> {
         let gpu = self.gpu.clone();
-        let kernels = gpu.kernels(with_profile);
-        self.work.resize(&gpu, view, with_profile)?;
-        self.work.counting.upload(&gpu, &[*view])?;
-        self.work.view.upload(&gpu, &[view.writing()])?;
         let mut encoder = gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") });
-        encoder.clear_buffer(self.work.ranges.buffer(), 0, None);
-        let (c, w, timer) = (&self.columns, &mut self.work, &mut self.timer);
-        project(&gpu, kernels, &mut timer.pass(&mut encoder, "project"), c, w, view);
-        sort_depths(&gpu, kernels, &mut timer.pass(&mut encoder, "depth order"), w, view)?;
-        list(&gpu, kernels, &mut timer.pass(&mut encoder, "tile lists"), w, view)?;
-        blend(&gpu, kernels, &mut timer.pass(&mut encoder, "blend"), w, view);
+        self.encode(&mut encoder, view, with_profile)?;
         let w = &self.work;
         let mut total = 0;
         let [width, height] = view.size().map(|v| v as usize);
@@ -162,6 +152,33 @@ impl Renderer {
             }
         })?;
         Ok(total)
+    }
+
+    /// Entries that a frame of so many splats has room for.
+    pub(crate) fn room(&self, splats: u32) -> u32 {
+        let held = u32::try_from(self.work.entry_tiles.bytes() / 4).unwrap_or(u32::MAX);
+        held.max(FIRST_ENTRIES.saturating_mul(splats)).max(LEAST_ENTRIES)
+    }
+
+    /// The passes of a frame of the splats in the columns.
+    pub(crate) fn encode(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        view: &View,
+        with_profile: bool,
+    ) -> Result<(), GpuError> {
+        let gpu = &self.gpu;
+        let kernels = gpu.kernels(with_profile);
+        self.work.resize(gpu, view, with_profile)?;
+        self.work.counting.upload(gpu, &[*view])?;
+        self.work.view.upload(gpu, &[view.writing()])?;
+        encoder.clear_buffer(self.work.ranges.buffer(), 0, None);
+        let (c, w, timer) = (&self.columns, &mut self.work, &mut self.timer);
+        project(gpu, kernels, &mut timer.pass(encoder, "project"), c, w, view);
+        sort_depths(gpu, kernels, &mut timer.pass(encoder, "depth order"), w, view)?;
+        list(gpu, kernels, &mut timer.pass(encoder, "tile lists"), w, view)?;
+        blend(gpu, kernels, &mut timer.pass(encoder, "blend"), w, view);
+        Ok(())
     }
 
     fn upload(&mut self, splats: SplatsRef<'_>, options: &RasterOptions) -> Result<(), GpuError> {
@@ -179,6 +196,11 @@ impl Renderer {
             Color::Sh { coeffs, .. } => c.colors.upload(gpu, coeffs),
         }
     }
+}
+
+/// Entries to make room for, where a frame had `total`.
+pub(crate) fn with_reserve(total: u32) -> u32 {
+    total.saturating_add(total / 8)
 }
 
 /// A frame of no splats.

@@ -42,7 +42,7 @@ impl Pairs {
 const WIDTH: u64 = 65_535;
 
 /// Workgroups for `rows` rows of `size` a group: columns and rows of a dispatch, so that one dimension never overflows.
-pub(crate) fn groups(rows: u64, size: u64) -> [u32; 2] {
+pub fn groups(rows: u64, size: u64) -> [u32; 2] {
     let all = rows.div_ceil(size);
     [all.min(WIDTH), all.div_ceil(WIDTH)].map(|v| u32::try_from(v).unwrap_or(u32::MAX))
 }

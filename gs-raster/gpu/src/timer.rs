@@ -84,7 +84,8 @@ impl Renderer {
         encoder.copy_buffer_to_buffer(&q.resolved, 0, q.copied.buffer(), 0, bytes);
         let period = f64::from(gpu.queue().get_timestamp_period());
         let mut ticks: Vec<u64> = Vec::new();
-        Readback::new().submit(gpu, encoder, &[&q.copied], |_, bytes| ticks = bytemuck::pod_collect_to_vec(bytes))?;
+        Readback::default()
+            .submit(gpu, encoder, &[&q.copied], |_, bytes| ticks = bytemuck::pod_collect_to_vec(bytes))?;
         let ms = |t: &[u64; 2]| t[1].saturating_sub(t[0]) as f64 * period * 1e-6;
         Ok(names.into_iter().zip(ticks.as_chunks::<2>().0.iter().map(ms)).collect())
     }

@@ -1,7 +1,8 @@
 //! The uniform of a frame: camera, options and sizes as `shaders/view.wgsl` lays them out.
 
+use crate::resident::Shape;
 use bytemuck::{Pod, Zeroable};
-use gs_core::{Camera, Color, SplatsRef, cast};
+use gs_core::{Camera, SplatsRef};
 use gs_raster::{ClampGrad, RasterOptions, tiles};
 
 /// Side of a tile, pixels.
@@ -52,8 +53,8 @@ fn round_up(v: f64) -> f32 {
 }
 
 impl View {
-    /// Of a frame of `splats` from `camera`. `entries` is the number of entries that fit.
-    pub(crate) fn new(splats: SplatsRef<'_>, camera: &Camera, options: &RasterOptions, entries: u32) -> Self {
+    /// Of a frame of splats of this shape from `camera`. `entries` is the number of entries that fit.
+    pub(crate) fn new(shape: Shape, camera: &Camera, options: &RasterOptions, entries: u32) -> Self {
         let rows = camera.rotation.transpose().to_cols_array_2d();
         let t = camera.translation.to_array();
         let with_t = |r: usize| split4([rows[r][0], rows[r][1], rows[r][2], t[r]]);
@@ -64,8 +65,6 @@ impl View {
         let min_alpha = options.min_alpha;
         let support = (options.box_sigmas.powi(2) * LOG2_SCALE_SQUARED).min(ENDLESS);
         let [r, g, b] = options.background;
-        let degree = if let Color::Sh { degree, .. } = splats.color { u32::from(*degree) } else { 0 };
-        let is_sh = matches!(splats.color, Color::Sh { .. });
         Self {
             rotation_h: [0, 1, 2].map(|r| with_t(r).0),
             rotation_l: [0, 1, 2].map(|r| with_t(r).1),
@@ -80,11 +79,11 @@ impl View {
             range: [options.near, options.far.min(ENDLESS), options.dilation, support].map(|v| v as f32),
             limits: [round_up(min_alpha), 0.0, 0.0, 0.0],
             sizes: [camera.width, camera.height, camera.width.div_ceil(TILE), camera.height.div_ceil(TILE)],
-            counts: [cast::to_u32(splats.len()), entries, degree, 0],
+            counts: [shape.splats, entries, shape.sh_degree.map_or(0, u32::from), 0],
             flags: [
                 u32::from(options.antialias),
                 u32::from(options.clamp_grad == ClampGrad::PassThrough),
-                u32::from(is_sh),
+                u32::from(shape.sh_degree.is_some()),
                 0,
             ],
             zero: [0; 4],

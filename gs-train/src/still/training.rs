@@ -64,7 +64,8 @@ impl StillRows {
         Self { config, last_time, pose, reach, rows: None, picked, moved }
     }
 
-    fn on(&self) -> bool {
+    /// Whether any splat may be left out.
+    pub fn on(&self) -> bool {
         self.config.pixels > 0.0
     }
 

@@ -11,18 +11,18 @@ use crate::method::{LossValue, MethodError, ViewCtx};
 use crate::ranks::tree::{Node, run_of};
 use crate::timestamp::Timestamp;
 use gs_core::SplatsGrad;
-use gs_data::View;
+use gs_data::{Dataset, View};
 use std::borrow::Cow;
 use std::ops::Range;
 
 /// The views of a step, the leaves of its sums. They stand in the order of the data set, so that each rank has those of a part
 /// of it, mostly the same images in every step.
-struct Views<'a> {
-    step: u32,
+pub(super) struct Views<'a> {
+    pub step: u32,
     /// Number of each view's draw, and the view.
-    drawn: Vec<(u32, &'a View)>,
+    pub drawn: Vec<(u32, &'a View)>,
     /// Where the views stand in the data set.
-    indices: Vec<usize>,
+    pub indices: Vec<usize>,
 }
 
 impl Views<'_> {
@@ -35,7 +35,7 @@ impl Views<'_> {
         (0..self.drawn.len()).max_by_key(|leaf| self.drawn[*leaf].0).unwrap_or_default()
     }
 
-    fn names(&self) -> String {
+    pub(super) fn names(&self) -> String {
         self.drawn.iter().map(|(_, view)| view.name.as_str()).collect::<Vec<_>>().join(", ")
     }
 }
@@ -58,15 +58,8 @@ impl Trainer {
     /// Leaves the gradient of the mean loss of the step's views and of the regularisers in the model: in whole, or in the rows
     /// that this rank owns.
     pub(super) fn learn(&mut self, step: u32) -> Result<Learnt, TrainError> {
-        let (dataset, batch) = (self.dataset.clone(), self.schedule().batch);
-        let views_of = |step: u32| {
-            let view = |draw| (self.order.view(self.model.schedule(), draw), draw);
-            let mut drawn: Vec<(usize, u32)> = ((step - 1) * batch + 1..=step * batch).map(view).collect();
-            drawn.sort_unstable();
-            let indices = drawn.iter().map(|(view, _)| *view).collect();
-            Views { step, indices, drawn: drawn.into_iter().map(|(view, draw)| (draw, &dataset.train[view])).collect() }
-        };
-        let (views, next) = (views_of(step), views_of(step + 1));
+        let dataset = self.dataset.clone();
+        let (views, next) = (self.views(&dataset, step), self.views(&dataset, step + 1));
         let (rank, ranks) = (self.ranks.rank(), self.ranks.size());
         let run = run_of(views.drawn.len(), rank, ranks);
         for k in run.clone() {
@@ -105,6 +98,16 @@ impl Trainer {
         ms.field += clock.lap();
         self.updates = updates;
         Ok(Learnt::of(&seen, regularisers, views.names(), ms))
+    }
+
+    /// The views that a step draws.
+    pub(super) fn views<'a>(&self, dataset: &'a Dataset, step: u32) -> Views<'a> {
+        let batch = self.schedule().batch;
+        let view = |draw| (self.order.view(self.model.schedule(), draw), draw);
+        let mut drawn: Vec<(usize, u32)> = ((step - 1) * batch + 1..=step * batch).map(view).collect();
+        drawn.sort_unstable();
+        let indices = drawn.iter().map(|(view, _)| *view).collect();
+        Views { step, indices, drawn: drawn.into_iter().map(|(view, draw)| (draw, &dataset.train[view])).collect() }
     }
 
     /// What the views of this rank gave, and the sums at the largest nodes over them.
@@ -248,7 +251,7 @@ impl Trainer {
 }
 
 impl Learnt {
-    fn of(seen: &[ViewLoss], regularisers: Vec<LossValue>, views: String, ms: Phases) -> Self {
+    pub(super) fn of(seen: &[ViewLoss], regularisers: Vec<LossValue>, views: String, ms: Phases) -> Self {
         let mut learnt = Self { loss: LossValues::default(), penalties: Vec::new(), refused: 0, views, ms };
         let regularisers = regularisers.into_iter().map(|(name, value)| (name.into(), value));
         for view in seen {

@@ -1,5 +1,6 @@
 //! The image side of a training view: splats to a frame, the frame against the ground truth, the loss back to the splats.
 
+use super::on_device::Resident;
 use super::{TrainError, Trainer};
 use crate::clocks::motion_columns;
 use crate::device::Device;
@@ -27,6 +28,8 @@ pub struct Phases {
     pub loss: f64,
     /// Backward pass of the rasteriser.
     pub raster_backward: f64,
+    /// All of these and Adam, where a device makes the whole step.
+    pub device: f64,
     /// Waiting for other ranks, and summing what they send.
     pub exchange: f64,
     /// Update of all parameters by Adam.
@@ -43,7 +46,7 @@ pub(super) struct RenderPass {
     frame: Frame,
     d_frame: FrameGrad,
     stats: ScreenStats,
-    loss: ImageLoss,
+    pub loss: ImageLoss,
 }
 
 /// What learning from one view gave.
@@ -106,7 +109,9 @@ impl Trainer {
     /// # Errors
     /// If the device fails.
     pub fn on(mut self, device: &Device) -> Result<Self, TrainError> {
+        self.leave_device()?;
         self.pass.rasterizer = device.open().map_err(MethodError::from)?;
+        self.resident = Resident::new(device.open_steps().map_err(MethodError::from)?);
         self.device = device.clone();
         Ok(self)
     }

@@ -121,6 +121,7 @@ impl Trainer {
     /// If another rank cannot join.
     pub fn lead(mut self, ranks: Arc<dyn Ranks>) -> Result<Self, TrainError> {
         if ranks.size() > 1 {
+            self.leave_device()?;
             ranks.all_gather(self.state().to_bytes().map_err(|e| TrainError::State(e.to_string()))?)?;
             all_gather_results(&*ranks, Ok(((), ())))?;
             self.ranks = Team::new(ranks, true);
@@ -171,17 +172,18 @@ impl Trainer {
         }
     }
 
-    /// Makes this rank hold the whole state, of which others own a part: to be called before [`Self::state`].
+    /// Makes this rank hold the whole state, of which others or a device hold a part: to be called before [`Self::state`].
     ///
     /// # Errors
-    /// If ranks cannot talk to each other.
+    /// If ranks cannot talk to each other, or the device fails.
     pub fn gather(&mut self) -> Result<(), TrainError> {
+        self.fetch()?;
         self.ask(Command::Gather)?;
         self.share_rows()
     }
 
     /// Scores the test views, or the training views where there are none, and beside them the views beyond the last training time
-    /// where there are any; the other ranks score theirs. `images` has them at full size.
+    /// where there are any; the other ranks score theirs. `images` has them at full size. [`Self::fetch`] is called first.
     ///
     /// # Errors
     /// If an image cannot be read, a frame is not finite, or a rank cannot be reached.

@@ -201,7 +201,11 @@ fn describe(training: &Training, global: &Global) {
     }
     let device = training.trainer().device();
     if !device.is_cpu() {
-        global.say(format!("rendering on {}", device.name()));
+        let whole = training.trainer().device_lacks();
+        global.say(match whole {
+            None => format!("training on {}", device.name()),
+            Some(why) => format!("rendering on {}; the rest of a step runs on the CPU: {why}", device.name()),
+        });
     }
     global.detail(format!("threads: {}", rayon::current_num_threads()));
     if global.ranks.size() > 1 {

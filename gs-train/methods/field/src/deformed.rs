@@ -11,13 +11,16 @@ use gs_deform::field::anneal::{Anneal, smooth_time};
 use gs_train::canonical::Canonical;
 use gs_train::capabilities::{Bake, Capabilities, FreezeOptions, FreezeReport, Inspect, Overlay, Quantity, StageView};
 use gs_train::kernel::kernel_quantities;
-use gs_train::method::{Buffer, BufferMut, Buffers, LossValue, Method, MethodError, RenderView, StepEvents, ViewCtx};
+use gs_train::method::{
+    Buffer, BufferMut, Buffers, LossValue, Method, MethodError, MovedCloud, RenderView, StepEvents, ViewCtx,
+};
 use gs_train::palette::DIRECTIONS;
 use gs_train::scene::SceneInfo;
 use gs_train::step::StepCtx;
 use gs_train::still::Still;
 use gs_train::still::training::{StillConfig, StillRows};
 use gs_train::timestamp::Timestamp;
+use std::any::Any;
 use std::sync::{Mutex, PoisonError};
 
 /// A cloud moved by a field.
@@ -201,6 +204,13 @@ where
         let log = self.decide_still();
         let densified = self.canonical.densify_with(&mut [], &mut self.resting.columns_mut())?;
         Ok(StepEvents { densified, log })
+    }
+
+    fn moved_cloud(&self, view: &ViewCtx<'_>) -> Option<MovedCloud<'_>> {
+        let at = &self.canonical.at;
+        let regular = !at.dynamic || at.step >= self.regular_from;
+        let whole = regular && !self.resting.on() && self.still.is_none();
+        whole.then(|| self.canonical.moved_by(Some(&self.field as &dyn Any), self.training_time(view.at.t)))
     }
 
     fn splat_count(&self) -> usize {

@@ -5,7 +5,9 @@ use gs_train::canonical::Canonical;
 use gs_train::capabilities::{Capabilities, Inspect, Quantity};
 use gs_train::kernel::kernel_quantities;
 use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY};
-use gs_train::method::{Buffer, BufferMut, Buffers, LossValue, Method, MethodError, RenderView, StepEvents, ViewCtx};
+use gs_train::method::{
+    Buffer, BufferMut, Buffers, LossValue, Method, MethodError, MovedCloud, RenderView, StepEvents, ViewCtx,
+};
 use gs_train::model::Model;
 use gs_train::registry::{MethodEntry, parse_config};
 use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
@@ -94,6 +96,10 @@ impl Method for Static3d {
 
     fn end_step(&mut self) -> Result<StepEvents, MethodError> {
         Ok(StepEvents { densified: self.canonical.densify()?, log: Vec::new() })
+    }
+
+    fn moved_cloud(&self, view: &ViewCtx<'_>) -> Option<MovedCloud<'_>> {
+        Some(self.canonical.moved_by(None, view.at.t))
     }
 
     fn splat_count(&self) -> usize {

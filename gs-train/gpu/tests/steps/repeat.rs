@@ -1,0 +1,40 @@
+//! Two runs on one adapter are the same bits, whether they were interrupted, looked at or neither.
+
+use super::{after, gpu, resume, start};
+use gs_train::testkit;
+
+#[test]
+fn two_runs_are_the_same_bits() {
+    let Some(gpu) = gpu() else { return };
+    for method in ["static3d", "fourdgs", "defgs"] {
+        let run = || start(method, &[]).on(&gs_train_gpu::device(&gpu)).expect("a device");
+        let first = after(run(), 60);
+        assert!(first.tensors == after(run(), 60).tensors, "{method}");
+
+        // Interrupted in the warm-up and in the midst of growth.
+        let mut state = after(run(), 17);
+        for steps in [16, 27] {
+            state = after(resume(&state, Some(&gpu)), steps);
+        }
+        assert!(first.tensors == state.tensors, "{method}, interrupted");
+
+        // Looked at after every step.
+        let mut watched = run();
+        for _ in 0..60 {
+            testkit::run(&mut watched, 1);
+            watched.fetch().expect("the state");
+        }
+        assert!(first.tensors == watched.state().tensors, "{method}, looked at");
+    }
+}
+
+#[test]
+fn a_run_goes_on_on_the_other_device() {
+    let Some(gpu) = gpu() else { return };
+    let there = after(start("fourdgs", &[]).on(&gs_train_gpu::device(&gpu)).expect("a device"), 40);
+    let back = resume(&there, None);
+    let loss = |report: &gs_train::trainer::StepReport| report.loss.total;
+    let on_host = testkit::run(&mut { back }, 1).remove(0);
+    let on_gpu = testkit::run(&mut resume(&there, Some(&gpu)), 1).remove(0);
+    assert!((loss(&on_host) - loss(&on_gpu)).abs() < 1e-5 * loss(&on_host), "{on_host:?}\n{on_gpu:?}");
+}

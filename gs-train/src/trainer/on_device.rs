@@ -1,0 +1,188 @@
+//! Steps that a device makes as wholes, and where the state of the run is meanwhile.
+
+use super::learn::{Learnt, Views};
+use super::render_pass::{Phases, Stopwatch, ViewLoss};
+use super::{TrainError, Trainer};
+use crate::adam::{Factors, Refused};
+use crate::device::{DeviceLoss, DeviceStep, DeviceSteps};
+use crate::loss::{Dssim, LossValues};
+use crate::method::{MethodError, MovedCloud, ViewCtx};
+use crate::non_finite::NonFinite;
+use crate::timestamp::Timestamp;
+use gs_data::View;
+use std::collections::BTreeMap;
+
+/// What makes whole steps, and which copy of the state is the present one.
+#[derive(Default)]
+pub(super) struct Resident {
+    steps: Option<Box<dyn DeviceSteps>>,
+    state: Copies,
+}
+
+/// Where the present state is.
+#[derive(Clone, Copy, PartialEq, Eq, Default)]
+enum Copies {
+    #[default]
+    Host,
+    Both,
+    Device,
+}
+
+impl Resident {
+    pub(super) fn new(steps: Option<Box<dyn DeviceSteps>>) -> Self {
+        Self { steps, state: Copies::Host }
+    }
+
+    /// Whether the device has made steps since the state was copied back.
+    pub(super) fn is_newer(&self) -> bool {
+        self.state == Copies::Device
+    }
+}
+
+impl Trainer {
+    /// Copies what a device holds back, where it makes whole steps: to be called before the model is looked at.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn fetch(&mut self) -> Result<(), TrainError> {
+        let Resident { steps, state } = &mut self.resident;
+        if let (Some(steps), Copies::Device) = (steps, *state) {
+            steps.store(&mut *self.model).map_err(MethodError::from)?;
+            *state = Copies::Both;
+        }
+        Ok(())
+    }
+
+    /// The same, before the state is changed on the host.
+    pub(super) fn leave_device(&mut self) -> Result<(), TrainError> {
+        self.fetch()?;
+        self.resident.state = Copies::Host;
+        Ok(())
+    }
+
+    /// Why the coming steps are not made on the device as wholes, in words; none if they are.
+    pub fn device_lacks(&self) -> Option<String> {
+        let Some(steps) = &self.resident.steps else { return Some("the device only renders".to_owned()) };
+        let views = self.views(&self.dataset, self.step + 1);
+        match self.on_device(&views) {
+            Ok((_, cloud)) => steps.lacks(&cloud),
+            Err(why) => Some(why.to_owned()),
+        }
+    }
+
+    /// The view and the cloud of a step that may be made as a whole, or what hinders it.
+    fn on_device<'a>(&'a self, views: &Views<'a>) -> Result<(&'a View, MovedCloud<'a>), &'static str> {
+        let schedule = self.model.schedule();
+        let &[(_, view)] = &views.drawn[..] else { return Err("steps have more than one view") };
+        let update = self.updates.values().flatten().find(|u| u.sparse);
+        let hindrances = [
+            (self.ranks.size() > 1, "ranks train on the CPU"),
+            (self.model.has_own_losses(), "the method has a loss of its own"),
+            (schedule.lambda_fre > 0.0, "the amplitude-spectrum loss (schedule.lambda_fre) is on"),
+            (schedule.lambda_depth > 0.0, "measured depth (schedule.lambda_depth) counts"),
+            (schedule.lambda_dssim > 0.0 && schedule.dssim != Dssim::Ssim, "schedule.dssim is not ssim"),
+            (self.model.exposure(views.step, views.indices[0]).is_some(), "exposures are fitted"),
+            (self.model.cameras().row(view).is_some(), "cameras are refined"),
+            (view.mask_loss, "the loss has a mask"),
+            (update.is_some(), "schedule.sparse_adam is on"),
+        ];
+        if let Some((_, why)) = hindrances.into_iter().find(|(hinders, _)| *hinders) {
+            return Err(why);
+        }
+        let ctx = ViewCtx { at: Timestamp::new(view.time), camera: &view.camera, last: true };
+        let cloud = self.model.moved_cloud(&ctx).ok_or("the method is more than a cloud and a field")?;
+        Ok((view, cloud))
+    }
+
+    /// Makes a step on the device, if it can; the rows are copied back where the end of the step looks at them.
+    pub(super) fn step_on_device(&mut self, step: u32) -> Result<Option<(Learnt, Refused)>, TrainError> {
+        let Some(mut steps) = self.resident.steps.take() else { return Ok(None) };
+        let done = self.step_with(&mut *steps, step);
+        self.resident.steps = Some(steps);
+        let Some((learnt, refused, edits)) = done? else { return Ok(None) };
+        self.resident.state = Copies::Device;
+        if edits {
+            self.leave_device()?;
+        }
+        Ok(Some((learnt, refused)))
+    }
+
+    fn step_with(
+        &mut self,
+        steps: &mut dyn DeviceSteps,
+        step: u32,
+    ) -> Result<Option<(Learnt, Refused, bool)>, TrainError> {
+        let dataset = self.dataset.clone();
+        let (views, next) = (self.views(&dataset, step), self.views(&dataset, step + 1));
+        let index = views.indices[0];
+        let scale = self.images.scale();
+        match self.on_device(&views) {
+            Ok((_, cloud)) if steps.lacks(&cloud).is_none() => {}
+            _ => return Ok(None),
+        }
+        let (mut clock, mut ms) = (Stopwatch::new(), Phases::default());
+        if let ([next], [index]) = (&next.drawn[..], &next.indices[..])
+            && !steps.has_image(*index, scale)
+        {
+            self.prefetch.request(&self.images, next.1);
+        }
+        let (draw, view) = views.drawn[0];
+        if !steps.has_image(index, scale) {
+            let image = self.images.get(view)?;
+            steps.put_image(index, scale, &image).map_err(MethodError::from)?;
+        }
+        ms.data = clock.lap();
+        if self.resident.state == Copies::Host {
+            steps.load(&*self.model).map_err(MethodError::from)?;
+        }
+        let mut factors: BTreeMap<&str, Factors> = BTreeMap::new();
+        for (name, update) in &self.updates {
+            if let Some(update) = update {
+                factors.insert(name, self.adam.next(name, *update));
+            }
+        }
+        let schedule = self.model.schedule();
+        let Ok((_, cloud)) = self.on_device(&views) else { return Ok(None) };
+        let job = DeviceStep {
+            cloud,
+            camera: &self.images.camera(view),
+            options: &schedule.raster_options(schedule.background.color(self.options.seed, draw)),
+            view: index,
+            l1: self.pass.loss.l1_weight(),
+            dssim: schedule.lambda_dssim,
+            update: &|name| factors.get(name).copied(),
+        };
+        let (edits, splats) = (job.cloud.edits, job.cloud.cloud.len());
+        let loss = steps.step(&job).map_err(MethodError::from)?;
+        let values = loss.values(job.l1, job.dssim);
+        ms.device = clock.lap();
+        let numeric = |what: String| TrainError::Numeric { step, view: view.name.clone(), what };
+        if !values.total.is_finite() {
+            return Err(numeric("the loss is not finite".to_owned()));
+        }
+        if self.too_many(loss.refused, splats) {
+            return Err(numeric(format!("{} of {splats} splats have gradients that are not finite", loss.refused)));
+        }
+        let refused = loss.refused(splats);
+        let non_finite = NonFinite { rows: loss.refused, first: None };
+        let seen = ViewLoss { terms: values, non_finite, splats, ..ViewLoss::default() };
+        let learnt = Learnt::of(&[seen], loss.penalties, views.names(), ms);
+        Ok(Some((learnt, refused, edits)))
+    }
+}
+
+impl DeviceLoss {
+    /// As the loss of a view, its terms with these weights.
+    fn values(&self, l1: f32, dssim: f32) -> LossValues {
+        let ssim = self.ssim.map(|ssim| ("ssim".into(), ssim));
+        let total = f64::from(l1) * self.l1 + self.ssim.map_or(0.0, |ssim| f64::from(dssim) * (1.0 - ssim));
+        LossValues { total, l1: self.l1, mse: self.mse, terms: ssim.into_iter().collect(), color_map: None }
+    }
+
+    /// What Adam refused; a row is counted once at least.
+    fn refused(&self, splats: usize) -> Refused {
+        let shared = (self.refused_shared > 0).then(|| "of the field".to_owned());
+        let first = (self.refused_values > 0).then(|| ("of the cloud".to_owned(), 0));
+        Refused { rows: self.refused_values, of: u32::try_from(splats).unwrap_or(u32::MAX), first, shared }
+    }
+}
