@@ -96,6 +96,17 @@ impl Standing {
     pub fn spread(&self, score: impl Fn(&EvalReport) -> Option<f64>) -> Option<Spread> {
         Spread::of(&self.trials.iter().filter_map(|t| score(&t.scores)).collect::<Vec<_>>())
     }
+
+    /// The trial with this seed.
+    pub fn of_seed(&self, seed: u64) -> Option<&Trial> {
+        self.trials.iter().find(|t| t.seed == seed)
+    }
+
+    /// A score less that of another entry with the same seed, for every seed of which both have it.
+    pub fn less(&self, other: &Self, score: impl Fn(&EvalReport) -> Option<f64>) -> Vec<f64> {
+        let pair = |t: &Trial| Some(score(&t.scores)? - score(&other.of_seed(t.seed)?.scores)?);
+        self.trials.iter().filter_map(pair).collect()
+    }
 }
 
 /// Result of a contest.

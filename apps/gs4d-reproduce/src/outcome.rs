@@ -5,7 +5,7 @@ use crate::reproduction::{Chosen, Reproduction};
 use crate::table::{Table, TableEntry};
 use gs_train::evaluate::EvalReport;
 use gs4d_eval::spread::Spread;
-use gs4d_lab::contest::{Length, Results, Standing, Trial};
+use gs4d_lab::contest::{Length, Results, Standing};
 use serde::Serialize;
 
 /// A figure of a paper and ours.
@@ -226,12 +226,12 @@ fn average(reproduction: &Reproduction, results: &[Results]) -> SceneOutcome {
     let generated = reproduction.scenes.iter().all(is_generated);
     let entries = table.runnable().enumerate().map(|(k, entry)| {
         let standings: Vec<&Standing> = results.iter().filter_map(|r| r.standings.get(k)).collect();
-        let everywhere = |seed: &&u64| standings.iter().all(|s| of_seed(s, **seed).is_some());
+        let everywhere = |seed: &&u64| standings.iter().all(|s| s.of_seed(**seed).is_some());
         let seeds: Vec<u64> = reproduction.conditions.seeds.iter().filter(everywhere).copied().collect();
         let mean = |score: fn(&EvalReport) -> Option<f64>| {
             let of = |seed: &u64| -> Option<f64> {
                 let values: Option<Vec<f64>> =
-                    standings.iter().map(|s| of_seed(s, *seed).and_then(|t| score(&t.scores))).collect();
+                    standings.iter().map(|s| s.of_seed(*seed).and_then(|t| score(&t.scores))).collect();
                 Spread::of(&values?).map(|s| s.mean)
             };
             Spread::of(&seeds.iter().filter_map(of).collect::<Vec<_>>())
@@ -251,10 +251,6 @@ fn average(reproduction: &Reproduction, results: &[Results]) -> SceneOutcome {
         }
     });
     SceneOutcome { scene: "mean over these scenes".to_owned(), generated, entries: entries.collect() }
-}
-
-fn of_seed(standing: &Standing, seed: u64) -> Option<&Trial> {
-    standing.trials.iter().find(|t| t.seed == seed)
 }
 
 /// The published mean over the scenes that were run: the printed one if these are all, else that of the printed rows.
@@ -282,17 +278,14 @@ fn orders(reproduction: &Reproduction, results: &[Results]) -> Vec<Order> {
     let printed = |entry: &str| table.published_average(entry, 0);
     let order = |(k, other): (usize, &&TableEntry)| {
         let published = printed(&first.name).zip(printed(&other.name)).map(|(a, b)| a - b);
-        let scenes: Vec<Vec<f64>> = results.iter().map(|r| differences(&r.standings, k, column)).collect();
+        let pairs = |r: &Results| match (r.standings.first(), r.standings.get(k)) {
+            (Some(first), Some(other)) => first.less(other, column.of),
+            _ => Vec::new(),
+        };
+        let scenes: Vec<Vec<f64>> = results.iter().map(pairs).collect();
         Order::of(other.name.clone(), published, &scenes)
     };
     names.iter().enumerate().skip(1).map(order).collect()
-}
-
-/// The first entry less another one, for every seed that both have on a scene.
-fn differences(standings: &[Standing], other: usize, column: Column) -> Vec<f64> {
-    let (Some(a), Some(b)) = (standings.first(), standings.get(other)) else { return Vec::new() };
-    let pair = |t: &Trial| Some((column.of)(&t.scores)? - (column.of)(&of_seed(b, t.seed)?.scores)?);
-    a.trials.iter().filter_map(pair).collect()
 }
 
 impl Order {

@@ -24,25 +24,28 @@ enum Choice {
 impl DeviceFlag {
     /// The device that was asked for.
     pub fn open(self, global: &Global) -> Result<Device, Failure> {
-        let device = match self.device {
-            Choice::Cpu => return Ok(Device::default()),
-            Choice::Gpu => gpu()?,
-            Choice::Auto => match gpu_if_any() {
-                Ok(device) => device,
-                Err(why) => {
-                    global.say(format!("rendering on the CPU: {why}"));
-                    return Ok(Device::default());
-                }
-            },
-        };
-        global.say(format!("rendering on {}", device.name()));
+        let device = self.chosen(global)?;
+        if !device.is_cpu() {
+            global.say(format!("rendering on {}", device.name()));
+        }
         Ok(device)
     }
 
-    /// The same for a training: several ranks render on the CPU.
+    fn chosen(self, global: &Global) -> Result<Device, Failure> {
+        match self.device {
+            Choice::Cpu => Ok(Device::default()),
+            Choice::Gpu => gpu(),
+            Choice::Auto => Ok(gpu_if_any().unwrap_or_else(|why| {
+                global.say(format!("rendering on the CPU: {why}"));
+                Device::default()
+            })),
+        }
+    }
+
+    /// The same for a training, which says what runs where: several ranks train on the CPU.
     pub fn open_to_train(self, global: &Global) -> Result<Device, Failure> {
         match (self.device, global.ranks.size()) {
-            (_, 1) | (Choice::Cpu, _) => self.open(global),
+            (_, 1) | (Choice::Cpu, _) => self.chosen(global),
             (Choice::Gpu, _) => Err(Failure::usage("ranks train on the CPU; leave --device gpu out")),
             (Choice::Auto, _) => {
                 global.say("rendering on the CPU: ranks train on it");

@@ -9,6 +9,7 @@ use gs4d_report::over_time::over_time as scores_over_time;
 use gs4d_report::page::training_charts;
 use gs4d_report::views::{ViewFigure, figures, script};
 use gs4d_report::{ReportError, Sample};
+use serde_json::Value;
 
 /// One self-contained HTML page. Error maps are against ground truth or, with `against_first`, against the renders of the
 /// first run. `sides` are the compared runs, in the same order.
@@ -27,7 +28,7 @@ pub fn page(
         differences(c),
         over_time(c)?,
         disagreements(c, pictures, &names, against_first)?,
-        curves(sides, &names)?,
+        course(&sides.iter().zip(&names).map(|(side, name)| (*name, vec![&side.log[..]])).collect::<Vec<_>>())?,
         each_view(c, &names),
         settings(c, &names),
         provenance(c),
@@ -121,25 +122,42 @@ fn disagreements(
     Ok(section("Where they disagree most", &remark, &figures(&shown)?))
 }
 
-fn curves(sides: &[Side], names: &[&str]) -> Result<String, ReportError> {
-    let of = |kind: usize| -> Vec<(String, Vec<Sample>)> {
-        let line = |(side, name): (&Side, &&str)| {
-            let samples = match kind {
-                0 => samples(&side.log, |line| line["psnr"].as_f64()),
-                1 => samples(&side.log, |line| line["eval"]["mean"]["psnr"].as_f64()),
-                _ => samples(&side.log, |line| line["splats"].as_f64()),
-            };
-            ((*name).to_owned(), samples)
-        };
-        sides.iter().zip(names).map(line).collect()
-    };
-    let titles = ["PSNR of training batches, dB", "PSNR of views scored while training, dB", "Splats"];
+/// The section of a page that shows how runs were trained: names, and the lines of [`LOG`](crate::folder::LOG) of the runs of that
+/// name, of which the means are shown.
+///
+/// # Errors
+/// If the plotting library fails.
+pub fn course(runs: &[(&str, Vec<&[Value]>)]) -> Result<String, ReportError> {
+    type Kind = (&'static str, fn(&Value) -> Option<f64>);
+    let kinds: [Kind; 3] = [
+        ("PSNR of training batches, dB", |line| line["psnr"].as_f64()),
+        ("PSNR of views scored while training, dB", |line| line["eval"]["mean"]["psnr"].as_f64()),
+        ("Splats", |line| line["splats"].as_f64()),
+    ];
     let mut out = String::new();
-    for (kind, title) in titles.into_iter().enumerate() {
-        out += &training_charts(title, Scale::Linear, &of(kind))?;
+    for (title, value) in kinds {
+        let curve = |(name, logs): &(&str, Vec<&[Value]>)| {
+            ((*name).to_owned(), mean_curve(&logs.iter().map(|log| samples(log, value)).collect::<Vec<_>>()))
+        };
+        out += &training_charts(title, Scale::Linear, &runs.iter().map(curve).collect::<Vec<_>>())?;
     }
-    let remark = "All runs, against optimiser steps and against seconds.";
-    Ok(section("Course of training", remark, &wrapped("charts", out)))
+    let means = if runs.iter().any(|(_, logs)| logs.len() > 1) { ", means over seeds" } else { "" };
+    let remark = format!("All runs, against optimiser steps and against seconds{means}.");
+    Ok(section("Course of training", &remark, &wrapped("charts", out)))
+}
+
+/// Means of the samples that all curves have at the same steps.
+fn mean_curve(curves: &[Vec<Sample>]) -> Vec<Sample> {
+    let Some((first, others)) = curves.split_first() else { return Vec::new() };
+    let n = curves.len() as f64;
+    let at = |sample: &Sample| {
+        let same = |curve: &Vec<Sample>| curve.iter().find(|s| s.step == sample.step).copied();
+        let all: Option<Vec<Sample>> = std::iter::once(Some(*sample)).chain(others.iter().map(same)).collect();
+        let all = all?;
+        let mean = |of: fn(&Sample) -> f64| all.iter().map(of).sum::<f64>() / n;
+        Some(Sample { step: sample.step, seconds: mean(|s| s.seconds), value: mean(|s| s.value) })
+    };
+    first.iter().filter_map(at).collect()
 }
 
 /// The header of a table: fixed names, then the escaped names of the runs.
@@ -183,4 +201,26 @@ fn provenance(c: &Compared) -> String {
         vec![r.name.clone(), r.path.clone(), machine]
     };
     section("Provenance", "", &table(&["run", "read from", "trained on"], &[], c.runs.iter().map(row)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn means_are_of_the_steps_that_all_runs_have() {
+        let curve = |points: &[[f64; 3]]| -> Vec<Sample> {
+            points
+                .iter()
+                .map(|[step, seconds, value]| Sample { step: *step, seconds: *seconds, value: *value })
+                .collect()
+        };
+        let two = [
+            curve(&[[1.0, 2.0, 10.0], [2.0, 4.0, 20.0], [3.0, 6.0, 30.0]]),
+            curve(&[[1.0, 4.0, 12.0], [3.0, 8.0, 20.0]]),
+        ];
+        assert_eq!(mean_curve(&two), curve(&[[1.0, 3.0, 11.0], [3.0, 7.0, 25.0]]));
+        assert_eq!(mean_curve(&two[..1]), two[0]);
+        assert_eq!(mean_curve(&[]), []);
+    }
 }

@@ -9,8 +9,11 @@ use crate::output::create_folder;
 use crate::parse;
 use gs_core::io::write_file;
 use gs4d_lab::aligned;
-use gs4d_lab::contest::{Contest, Entry, Length, Results, SCORES, Score, Spread, Standing};
+use gs4d_lab::contest::{Contest, Entry, Length, Results, SCORES, Score, Spread, Standing, Trial};
 use gs4d_report::html::{self, section};
+use gs4d_run::RunError;
+use gs4d_run::compare::page::course;
+use gs4d_run::folder::{LOG, RunFolder};
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -73,7 +76,7 @@ impl ContestVerb {
         let Results { standings, missing } = jobs.results(&contest, global)?;
         let json = with_missing(to_json(&standings), &missing);
         let text = table(&standings);
-        let page = page(&contest, &standings);
+        let page = page(&contest, &standings)?;
         let root = &contest.root;
         create_folder(root)?;
         let files = [("compare.json", format!("{json:#}\n")), ("compare.csv", csv(&standings)), ("compare.html", page)];
@@ -85,26 +88,35 @@ impl ContestVerb {
     }
 }
 
-/// Head and rows: entry, steps, difference of the mean PSNR to the first entry, and the scores that there are.
+/// PSNR of an entry less that of the first, with the same seeds.
+fn differences(standings: &[Standing], entry: &Standing) -> Vec<f64> {
+    standings.first().map_or_else(Vec::new, |first| entry.less(first, |r| r.mean.psnr))
+}
+
+/// Head and rows: entry, steps, difference of PSNR to the first entry, and the scores that there are.
 fn rows(standings: &[Standing]) -> (Vec<&'static str>, Vec<Vec<String>>) {
     let scores: Vec<Score> =
         SCORES.into_iter().filter(|(_, _, score)| standings.iter().any(|s| s.spread(score).is_some())).collect();
-    let psnr = |s: &Standing| s.spread(|r| r.mean.psnr).map(|p| p.mean);
-    let first = standings.first().and_then(psnr);
-    let row = |s: &Standing| {
-        let delta = psnr(s).zip(first).map_or("-".to_owned(), |(p, f)| format!("{:+.2}", p - f));
+    let row = |(k, s): (usize, &Standing)| {
+        let delta = match Spread::of(&differences(standings, s)) {
+            Some(d) if k > 0 && d.deviation > 0.0 => format!("{:+.2} ±{:.2}", d.mean, d.deviation),
+            Some(d) => format!("{:+.2}", d.mean),
+            None => "-".to_owned(),
+        };
         let scores = scores.iter().map(|(_, digits, score)| spread_text(s.spread(score), *digits));
         [s.label.clone(), s.steps.map_or("-".to_owned(), |n| n.to_string()), delta].into_iter().chain(scores).collect()
     };
     let head = ["entry", "steps", "dB"].into_iter().chain(scores.iter().map(|s| s.0)).collect();
-    (head, standings.iter().map(row).collect())
+    (head, standings.iter().enumerate().map(row).collect())
 }
 
 /// What the numbers of the table are.
 fn remark(standings: &[Standing]) -> String {
     let seconds: f64 = standings.iter().flat_map(|s| &s.trials).filter_map(|t| t.scores.train_seconds).sum();
     let time = time_text(seconds);
-    format!("dB: mean PSNR against the first entry; ± one standard deviation over seeds; {time} of training")
+    format!(
+        "dB: PSNR less that of the first entry with the same seed; ± one standard deviation over seeds; {time} of training"
+    )
 }
 
 fn table(standings: &[Standing]) -> String {
@@ -112,17 +124,23 @@ fn table(standings: &[Standing]) -> String {
     format!("{}{}\n", aligned(&head, &rows, |column| column == 0), remark(standings))
 }
 
-fn page(contest: &Contest, standings: &[Standing]) -> String {
+fn page(contest: &Contest, standings: &[Standing]) -> Result<String, Failure> {
     let (head, rows) = rows(standings);
     let numeric: Vec<usize> = (1..head.len()).collect();
     let trials = standings.iter().flat_map(|s| s.trials.iter().map(move |t| (s, t)));
     let trials = trials.map(|(s, t)| vec![s.label.clone(), t.seed.to_string(), t.run.display().to_string()]);
     let seeds: Vec<String> = contest.seeds.iter().map(u64::to_string).collect();
+    let log = |trial: &Trial| RunFolder::open(&trial.run)?.log_lines(LOG);
+    let logs = |s: &Standing| s.trials.iter().map(log).collect::<Result<Vec<_>, RunError>>();
+    let logs: Vec<Vec<Vec<Value>>> = standings.iter().map(logs).collect::<Result<_, _>>()?;
+    let named = standings.iter().zip(&logs).map(|(s, l)| (s.label.as_str(), l.iter().map(Vec::as_slice).collect()));
+    let course = course(&named.collect::<Vec<_>>()).map_err(RunError::from)?;
     let parts =
         section("Scores on held-out views", &remark(standings), &html::table(&head, &numeric, rows.into_iter()))
+            + &course
             + &section("Trials", "", &html::table(&["entry", "seed", "run"], &[1], trials));
     let subtitle = format!("{} · seeds {} · preset {}", contest.data.display(), seeds.join(", "), contest.preset);
-    html::document("Methods compared", &subtitle, &parts)
+    Ok(html::document("Methods compared", &subtitle, &parts))
 }
 
 /// One line for each entry: every score as mean and standard deviation over seeds.
@@ -154,7 +172,9 @@ fn to_json(standings: &[Standing]) -> Value {
             SCORES.iter().map(|(name, _, score)| ((*name).to_owned(), json!(s.spread(score)))).collect();
         let trials: Vec<Value> =
             s.trials.iter().map(|t| json!({"seed": t.seed, "run": t.run.display().to_string()})).collect();
-        json!({"entry": s.label, "steps": s.steps, "over_seeds": spreads, "trials": trials})
+        let less = differences(standings, s);
+        let paired = json!({"psnr": less, "over_seeds": Spread::of(&less)});
+        json!({"entry": s.label, "steps": s.steps, "over_seeds": spreads, "less_the_first": paired, "trials": trials})
     };
     json!({"entries": standings.iter().map(entry).collect::<Vec<_>>()})
 }

@@ -33,7 +33,17 @@ fn trials_are_scored_kept_and_never_mixed_up() {
     );
     let of_header = table[0].split(',').count();
     assert!(table.iter().all(|l| l.split(',').count() == of_header), "{table:?}");
-    assert!(read("compare.html").contains("static3d schedule.lambda_dssim=0") && read("compare.json").contains("psnr"));
+    let page = read("compare.html");
+    assert!(page.contains("static3d schedule.lambda_dssim=0") && page.contains("Course of training"));
+    let psnr = |k: usize, seed: u64| {
+        let run = entries[k]["trials"].as_array().unwrap().iter().find(|t| t["seed"] == seed).unwrap()["run"].clone();
+        let metrics = std::fs::read_to_string(format!("{}/metrics.json", run.as_str().unwrap())).unwrap();
+        serde_json::from_str::<serde_json::Value>(&metrics).unwrap()["mean"]["psnr"].as_f64().unwrap()
+    };
+    for k in [0, 1] {
+        let want = [0, 1].map(|seed| psnr(k, seed) - psnr(0, seed));
+        assert_eq!(entries[k]["less_the_first"]["psnr"], serde_json::json!(want), "the same seeds");
+    }
 
     let again = contest(good, &["--steps", "12", "--seeds", "0,1"]);
     assert!(!again.err.contains("seed-0"), "nothing is trained twice: {}", again.err);

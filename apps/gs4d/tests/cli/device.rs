@@ -103,7 +103,7 @@ fn a_gpu_trains_the_same_bits_twice() {
         if call.err.contains("no GPU was found") && std::env::var_os("GS4D_REQUIRE_GPU").is_none() {
             return println!("SKIPPED a_gpu_trains_the_same_bits_twice: {}", call.err);
         }
-        assert!(call.code == 0 && call.err.contains("rendering on "), "{}", call.err);
+        assert!(call.code == 0 && call.err.contains("training on "), "{}", call.err);
     }
     assert!(state(&path("a")) == state(&path("b")), "200 steps twice differ");
     let provenance = fs::read_to_string(path("a").join("provenance.json")).unwrap();
