@@ -73,10 +73,13 @@ pub trait Method: Params + Buffers + Send + Sync {
         Ok(StepEvents::default())
     }
 
-    /// The step begun in parts, for a device that makes whole steps ([`crate::device::DeviceSteps`]). None if it is more than a
-    /// cloud, a field that moves it and the regularisers of that field.
-    fn moved_cloud(&self, _view: &ViewCtx<'_>) -> Option<MovedCloud<'_>> {
-        None
+    /// The step begun in parts, for a device that makes whole steps ([`crate::device::DeviceSteps`]). Parameters, moments and buffers
+    /// may then change without [`Self::begin_step`], between steps: nothing computed from them may outlive [`Self::end_step`].
+    ///
+    /// # Errors
+    /// What makes the step more than a cloud, a field that moves it and the regularisers of that field, in words.
+    fn moved_cloud(&self, _view: &ViewCtx<'_>) -> Result<MovedCloud<'_>, &'static str> {
+        Err("the method is more than a cloud and a field")
     }
 
     /// Number of splats, at most (an anchor counts with all it can be decoded to).

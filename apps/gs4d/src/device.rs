@@ -8,7 +8,7 @@ use gs_train::device::Device;
 /// Flag of verbs that render on any device.
 #[derive(clap::Args, Clone, Copy, Debug)]
 pub struct DeviceFlag {
-    /// What renders. The bits of frames and of trained scenes are those of the device.
+    /// What renders, and trains where it can. The bits of frames and of trained scenes are those of the device.
     #[arg(long, value_enum, value_name = "DEVICE", default_value_t = Choice::Cpu)]
     device: Choice,
 }

@@ -1,5 +1,5 @@
-//! Whole steps of training on the GPU: what [`gs_train::device::DeviceSteps`] asks for, for a cloud of Gaussians at rest or moved by a
-//! HexPlane field (`static3d`, `fourdgs`).
+//! Whole steps of training on the GPU: what [`gs_train::device::DeviceSteps`] asks for, for a cloud of Gaussians at rest, moved by a
+//! HexPlane field or by a network of place and time (`static3d`, `fourdgs`, `defgs`).
 //!
 //! ```
 //! use gs_gpu::Gpu;
@@ -11,7 +11,7 @@
 //! ```
 //!
 //! # A step
-//! 1. planes: six samples per point and channel, their product; layers of the network, in tiles of 64 × 64;
+//! 1. planes: six samples per point and channel, their product, or encoded places; layers of the network, in tiles of 64 × 64;
 //! 2. activate: raw parameters and offsets to splats;
 //! 3. frame and gradients of splats: [`gs_gpu::Renderer`];
 //! 4. loss: L1 and SSIM against the image, which stays on the device, and the cotangent of the frame;

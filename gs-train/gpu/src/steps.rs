@@ -20,8 +20,6 @@ use std::ops::Range;
 const GROUP: u64 = 256;
 /// Added to the rules of offsets: scales have no gradient.
 const KEEPS_SIZES: u32 = 4;
-/// Counters of a step; see [`Steps::loss_of`].
-const COUNTERS: u64 = 4;
 
 /// Makes whole steps on a GPU.
 pub struct Steps {
@@ -108,7 +106,7 @@ impl Steps {
             self.field.begin(&gpu, field, cloud.time)?;
         }
         self.renderer.make_room(shape)?;
-        self.counters.resize(&gpu, 4 * COUNTERS)?;
+        self.counters.resize(&gpu, 4 * self.store.counters())?;
         self.uniforms.clear();
         let [moves, rules] = moving.map_or([0; 2], |field| [self.field.moves(field), field.rules()]);
         let rules = rules + u32::from(cloud.keeps_sizes) * KEEPS_SIZES;
@@ -268,18 +266,12 @@ impl Steps {
 
     fn loss_of(&self, step: &DeviceStep<'_>, results: &Results) -> DeviceLoss {
         let view = view_of(step, &self.images, &self.nothing[0]);
-        let counter = |k: usize| results.counters.get(k).copied().unwrap_or(0);
-        let penalties = match results.regularisers.is_empty() {
-            true => Vec::new(),
-            false => self.field.penalties(&results.regularisers),
-        };
-        DeviceLoss {
-            penalties,
-            refused: counter(0),
-            refused_values: counter(1),
-            refused_shared: counter(2),
-            ..view.means(&results.loss)
+        let mut loss = view.means(&results.loss);
+        self.store.count(&results.counters, &mut loss);
+        if !results.regularisers.is_empty() {
+            loss.penalties = self.field.penalties(&results.regularisers);
         }
+        loss
     }
 }
 

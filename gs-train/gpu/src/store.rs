@@ -6,6 +6,7 @@ use bytemuck::{Pod, Zeroable};
 use gs_core::cast::to_u32;
 use gs_gpu::{Array, Gpu, GpuError, Readback, groups};
 use gs_train::adam::Factors;
+use gs_train::device::DeviceLoss;
 use gs_train::method::Method;
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -16,15 +17,14 @@ const GROUP: usize = 256;
 const BYTES: u64 = 4;
 /// The statistics of densification, by their names among the buffers of a method.
 const STATISTICS: [&str; 3] = ["density.grad_sum", "density.seen", "density.max_radius"];
-/// Counter of gradients that are not finite, of row blocks and of shared blocks.
-const COUNTERS: [u32; 2] = [1, 2];
 
 /// Where a block of parameters lies.
 struct Block {
     name: String,
     /// Its values, among those of all blocks.
     values: Range<usize>,
-    has_rows: bool,
+    /// Values of a row; none of shared blocks.
+    row_width: Option<usize>,
 }
 
 /// The state, block after block.
@@ -52,8 +52,8 @@ struct BlockUpdate {
     keep: f32,
     end: u32,
     learns: u32,
-    counter: u32,
-    unused: u32,
+    start: u32,
+    width: u32,
 }
 
 impl Store {
@@ -80,7 +80,7 @@ impl Store {
             let at = values.len();
             self.by_name.insert(p.name.clone(), self.blocks.len());
             owners.resize((at + p.len()).div_ceil(GROUP), to_u32(self.blocks.len()));
-            self.blocks.push(Block { name: p.name.clone(), values: at..at + p.len(), has_rows: p.row_width.is_some() });
+            self.blocks.push(Block { name: p.name.clone(), values: at..at + p.len(), row_width: p.row_width });
             values.extend_from_slice(&p.value);
             moments.extend(p.moment1.iter().zip(&p.moment2).flat_map(|(m, v)| [*m, *v]));
             values.resize(owners.len() * GROUP, 0.0);
@@ -148,6 +148,24 @@ impl Store {
         self.by_name.get(name).map(|i| &self.blocks[*i])
     }
 
+    /// Counters of a step: splats whose gradients were not finite; of each block, such rows, and the first of them.
+    pub(crate) fn counters(&self) -> u64 {
+        1 + 2 * self.blocks.len() as u64
+    }
+
+    /// Puts what was counted into words.
+    pub(crate) fn count(&self, counters: &[u32], loss: &mut DeviceLoss) {
+        let Some((refused, blocks)) = counters.split_first() else { return };
+        loss.refused = *refused;
+        for (block, [rows, first]) in self.blocks.iter().zip(blocks.as_chunks().0) {
+            match block.row_width {
+                _ if *rows == 0 => {}
+                Some(_) => loss.refused_rows.push((block.name.clone(), *rows, u32::MAX - first)),
+                None => loss.refused_shared = loss.refused_shared.take().or_else(|| Some(block.name.clone())),
+            }
+        }
+    }
+
     /// Updates all blocks that learn, unless the frame had more than `entries`.
     pub(crate) fn update(
         &mut self,
@@ -161,17 +179,19 @@ impl Store {
         let of = |block: &Block| {
             let factors = update(&block.name);
             betas = betas.or(factors.map(|f| [f.beta1, f.beta2]));
-            let end = to_u32(block.values.end);
-            let counter = COUNTERS[usize::from(!block.has_rows)];
-            factors.map_or(BlockUpdate { end, counter, ..BlockUpdate::default() }, |f| BlockUpdate {
+            let idle = BlockUpdate {
+                start: to_u32(block.values.start),
+                end: to_u32(block.values.end),
+                width: to_u32(block.row_width.unwrap_or(1)),
+                ..BlockUpdate::default()
+            };
+            factors.map_or(idle, |f| BlockUpdate {
                 rate: f.rate,
                 root: f.root,
                 eps: f.eps,
                 keep: f.keep,
-                end,
                 learns: 1,
-                counter,
-                unused: 0,
+                ..idle
             })
         };
         let updates: Vec<BlockUpdate> = self.blocks.iter().map(of).collect();

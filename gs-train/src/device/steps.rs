@@ -71,8 +71,8 @@ pub struct DeviceLoss {
     pub penalties: Vec<LossValue>,
     /// Splats whose gradients were not finite, and were left out.
     pub refused: u32,
-    /// Values of row blocks with a gradient that is not finite; they were left alone.
-    pub refused_values: u32,
-    /// Values of shared blocks with such a gradient: the run cannot go on.
-    pub refused_shared: u32,
+    /// Row blocks with gradients that are not finite, whose values were left alone: name, number of rows, the first of them.
+    pub refused_rows: Vec<(String, u32, u32)>,
+    /// A shared block with such a gradient: the run cannot go on.
+    pub refused_shared: Option<String>,
 }

@@ -8,9 +8,17 @@ use crate::device::{DeviceLoss, DeviceStep, DeviceSteps};
 use crate::loss::{Dssim, LossValues};
 use crate::method::{MethodError, MovedCloud, ViewCtx};
 use crate::non_finite::NonFinite;
+use crate::schedule::LearningRate;
 use crate::timestamp::Timestamp;
+use gs_core::cast;
 use gs_data::View;
+use gs_raster::DeviceError;
 use std::collections::BTreeMap;
+
+/// What hinders whole steps where images have masks.
+const MASKED: &str = "the loss has a mask";
+/// What hinders them where frames are mapped to the colours of images.
+const EXPOSED: &str = "exposures are fitted";
 
 /// What makes whole steps, and which copy of the state is the present one.
 #[derive(Default)]
@@ -60,9 +68,15 @@ impl Trainer {
         Ok(())
     }
 
-    /// Why the coming steps are not made on the device as wholes, in words; none if they are.
+    /// Why the coming steps, or some of them, are not made on the device as wholes, in words; none if all are.
     pub fn device_lacks(&self) -> Option<String> {
         let Some(steps) = &self.resident.steps else { return Some("the device only renders".to_owned()) };
+        if self.dataset.train.iter().any(|view| view.mask_loss) {
+            return Some(MASKED.to_owned());
+        }
+        if self.schedule().exposure.fit {
+            return Some(EXPOSED.to_owned());
+        }
         let views = self.views(&self.dataset, self.step + 1);
         match self.on_device(&views) {
             Ok((_, cloud)) => steps.lacks(&cloud),
@@ -74,24 +88,24 @@ impl Trainer {
     fn on_device<'a>(&'a self, views: &Views<'a>) -> Result<(&'a View, MovedCloud<'a>), &'static str> {
         let schedule = self.model.schedule();
         let &[(_, view)] = &views.drawn[..] else { return Err("steps have more than one view") };
-        let update = self.updates.values().flatten().find(|u| u.sparse);
+        let sparse = |rule: &LearningRate| rule.sparse || schedule.sparse_adam;
         let hindrances = [
             (self.ranks.size() > 1, "ranks train on the CPU"),
             (self.model.has_own_losses(), "the method has a loss of its own"),
             (schedule.lambda_fre > 0.0, "the amplitude-spectrum loss (schedule.lambda_fre) is on"),
             (schedule.lambda_depth > 0.0, "measured depth (schedule.lambda_depth) counts"),
             (schedule.lambda_dssim > 0.0 && schedule.dssim != Dssim::Ssim, "schedule.dssim is not ssim"),
-            (self.model.exposure(views.step, views.indices[0]).is_some(), "exposures are fitted"),
+            (self.model.exposure(views.step, views.indices[0]).is_some(), EXPOSED),
             (self.model.cameras().row(view).is_some(), "cameras are refined"),
-            (view.mask_loss, "the loss has a mask"),
-            (update.is_some(), "schedule.sparse_adam is on"),
+            (view.mask_loss, MASKED),
+            (schedule.lr.values().flat_map(BTreeMap::values).any(sparse), "updates are sparse"),
         ];
         if let Some((_, why)) = hindrances.into_iter().find(|(hinders, _)| *hinders) {
             return Err(why);
         }
-        let ctx = ViewCtx { at: Timestamp::new(view.time), camera: &view.camera, last: true };
-        let cloud = self.model.moved_cloud(&ctx).ok_or("the method is more than a cloud and a field")?;
-        Ok((view, cloud))
+        let camera = &view.camera;
+        let ctx = ViewCtx { at: Timestamp::new(view.time), camera, last: true };
+        Ok((view, self.model.moved_cloud(&ctx)?))
     }
 
     /// Makes a step on the device, if it can; the rows are copied back where the end of the step looks at them.
@@ -99,10 +113,12 @@ impl Trainer {
         let Some(mut steps) = self.resident.steps.take() else { return Ok(None) };
         let done = self.step_with(&mut *steps, step);
         self.resident.steps = Some(steps);
-        let Some((learnt, refused, edits)) = done? else { return Ok(None) };
+        let Some((mut learnt, refused, edits)) = done? else { return Ok(None) };
         self.resident.state = Copies::Device;
         if edits {
+            let mut clock = Stopwatch::new();
             self.leave_device()?;
+            learnt.ms.device += clock.lap();
         }
         Ok(Some((learnt, refused)))
     }
@@ -142,7 +158,7 @@ impl Trainer {
             }
         }
         let schedule = self.model.schedule();
-        let Ok((_, cloud)) = self.on_device(&views) else { return Ok(None) };
+        let (_, cloud) = self.on_device(&views).map_err(|why| MethodError::from(DeviceError::new(why)))?;
         let job = DeviceStep {
             cloud,
             camera: &self.images.camera(view),
@@ -179,10 +195,10 @@ impl DeviceLoss {
         LossValues { total, l1: self.l1, mse: self.mse, terms: ssim.into_iter().collect(), color_map: None }
     }
 
-    /// What Adam refused; a row is counted once at least.
+    /// What Adam refused.
     fn refused(&self, splats: usize) -> Refused {
-        let shared = (self.refused_shared > 0).then(|| "of the field".to_owned());
-        let first = (self.refused_values > 0).then(|| ("of the cloud".to_owned(), 0));
-        Refused { rows: self.refused_values, of: u32::try_from(splats).unwrap_or(u32::MAX), first, shared }
+        let rows = self.refused_rows.iter().map(|(_, rows, _)| *rows).max().unwrap_or(0);
+        let first = self.refused_rows.first().map(|(name, _, row)| (name.clone(), *row));
+        Refused { rows, of: cast::to_u32(splats), first, shared: self.refused_shared.clone() }
     }
 }

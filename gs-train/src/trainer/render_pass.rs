@@ -28,7 +28,7 @@ pub struct Phases {
     pub loss: f64,
     /// Backward pass of the rasteriser.
     pub raster_backward: f64,
-    /// All of these and Adam, where a device makes the whole step.
+    /// The last four and Adam, where a device makes the whole step.
     pub device: f64,
     /// Waiting for other ranks, and summing what they send.
     pub exchange: f64,
@@ -104,7 +104,8 @@ impl RenderPass {
 }
 
 impl Trainer {
-    /// The same run, its frames rendered on this device from now on. The bits of a run are those of its device.
+    /// The same run, its frames rendered on this device from now on, its steps made there where the device can. The bits of a run are
+    /// those of its device.
     ///
     /// # Errors
     /// If the device fails.

@@ -1,17 +1,19 @@
 //! Frames rendered on another device than the CPU: a fake one, which counts its calls and fails on demand.
 
-use gs_data::{Dataset, ImageCache, Split};
+use gs_core::Params;
+use gs_data::{Dataset, ImageCache, ImageU8, Split};
 use gs_raster::DeviceError;
 use gs_synth::SynthOptions;
-use gs_train::device::Device;
+use gs_train::device::{Device, DeviceLoss, DeviceStep, DeviceSteps};
 use gs_train::evaluate::{EvalError, Scoring, evaluate, evaluate_with};
-use gs_train::method::MethodError;
+use gs_train::method::{Method, MethodError, MovedCloud};
 use gs_train::ranks::Share;
 use gs_train::renderer::Renderer;
 use gs_train::testkit::{self, fake_device};
 use gs_train::trainer::{TrainError, Trainer};
-use std::sync::Arc;
+use std::collections::BTreeSet;
 use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex};
 
 fn data() -> Arc<Dataset> {
     let options = SynthOptions::of_views(24, 4, 3);
@@ -86,4 +88,86 @@ fn renders_and_scores_name_what_failed() {
     assert!(matches!(Renderer::on(&closed, options), Err(MethodError::Device(_))));
     let error = trainer.on(&closed).err().expect("refused");
     assert_eq!((error.to_string().as_str(), error.exit_code()), ("there is no adapter", 5));
+}
+
+/// Makes whole steps that add one to every value, and notes what is asked of it.
+#[derive(Default)]
+struct AddsOne {
+    calls: Arc<Mutex<Vec<&'static str>>>,
+    images: BTreeSet<usize>,
+    values: Vec<Vec<f32>>,
+}
+
+impl DeviceSteps for AddsOne {
+    fn lacks(&self, _cloud: &MovedCloud<'_>) -> Option<String> {
+        None
+    }
+
+    fn load(&mut self, method: &dyn Method) -> Result<(), DeviceError> {
+        self.calls.lock().expect("calls").push("load");
+        self.values.clear();
+        method.visit(&mut |p| self.values.push(p.value.clone()));
+        Ok(())
+    }
+
+    fn has_image(&self, view: usize, _scale: f64) -> bool {
+        self.images.contains(&view)
+    }
+
+    fn put_image(&mut self, view: usize, _scale: f64, image: &ImageU8) -> Result<(), DeviceError> {
+        assert_eq!((image.width, self.images.insert(view)), (24, true), "each image once");
+        Ok(())
+    }
+
+    fn step(&mut self, step: &DeviceStep<'_>) -> Result<DeviceLoss, DeviceError> {
+        assert!(self.images.contains(&step.view) && (step.update)("cloud.means").is_some());
+        self.calls.lock().expect("calls").push("step");
+        self.values.iter_mut().flatten().for_each(|v| *v += 1.0);
+        Ok(DeviceLoss { l1: 0.5, ..DeviceLoss::default() })
+    }
+
+    fn store(&mut self, method: &mut dyn Method) -> Result<(), DeviceError> {
+        self.calls.lock().expect("calls").push("store");
+        let mut values = self.values.iter();
+        method.visit_mut(&mut |p| p.value.clone_from(values.next().expect("a block")));
+        Ok(())
+    }
+}
+
+#[test]
+fn whole_steps_stay_on_the_device_until_the_host_looks() {
+    let run = |over: &[&str], device: &Device| start(over).on(device).expect("a device");
+    let calls = Arc::new(Mutex::new(Vec::new()));
+    let noted = calls.clone();
+    let device =
+        fake_device(0).0.with_steps(move || Ok(Box::new(AddsOne { calls: noted.clone(), ..AddsOne::default() })));
+    let taken = || std::mem::take(&mut *calls.lock().expect("calls"));
+    let opacity = |trainer: &Trainer| {
+        let mut first = 0.0;
+        trainer.model().visit(&mut |p| first = if p.name == "cloud.logit_opacities" { p.value[0] } else { first });
+        first
+    };
+
+    let mut trainer = run(&["schedule.density.until = 0"], &device);
+    let before = opacity(&trainer);
+    assert_eq!(trainer.device_lacks(), None);
+    let reports = testkit::run(&mut trainer, 3);
+    assert_eq!((reports[0].loss.l1, reports[0].quarantined), (0.5, 0));
+    assert_eq!((taken(), opacity(&trainer)), (vec!["load", "step", "step", "step"], before));
+    trainer.gather().expect("the state");
+    trainer.gather().expect("the same state");
+    assert_eq!((taken(), opacity(&trainer)), (vec!["store"], before + 3.0));
+    testkit::run(&mut trainer, 1);
+    assert_eq!(taken(), ["step"], "what was looked at is still there");
+
+    // Rows are edited in every second step, on the host.
+    let edits = "schedule.density.from = 0\nschedule.density.every = 2\nschedule.density.reset_every = 0";
+    testkit::run(&mut run(&[edits], &device), 4);
+    assert_eq!(taken(), ["load", "step", "step", "store", "load", "step", "step", "store"]);
+
+    // What the device lacks the host makes.
+    let mut batches = run(&["schedule.batch = 2"], &device);
+    assert_eq!(batches.device_lacks().as_deref(), Some("steps have more than one view"));
+    testkit::run(&mut batches, 2);
+    assert_eq!(taken(), [""; 0]);
 }

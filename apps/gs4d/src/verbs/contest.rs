@@ -76,13 +76,13 @@ impl ContestVerb {
         let Results { standings, missing } = jobs.results(&contest, global)?;
         let json = with_missing(to_json(&standings), &missing);
         let text = table(&standings);
-        let page = page(&contest, &standings)?;
         let root = &contest.root;
         create_folder(root)?;
-        let files = [("compare.json", format!("{json:#}\n")), ("compare.csv", csv(&standings)), ("compare.html", page)];
-        for (name, content) in files {
-            write_file(&root.join(name), true, |out| out.write_all(content.as_bytes()))?;
-        }
+        let write =
+            |name: &str, content: String| write_file(&root.join(name), true, |out| out.write_all(content.as_bytes()));
+        write("compare.json", format!("{json:#}\n"))?;
+        write("compare.csv", csv(&standings))?;
+        write("compare.html", page(&contest, &standings)?)?;
         let answer = Answer::new(format!("{text}-> {}\n", root.join("compare.html").display()), json);
         jobs.judge(answer, missing, global)
     }
@@ -170,11 +170,15 @@ fn to_json(standings: &[Standing]) -> Value {
     let entry = |s: &Standing| {
         let spreads: serde_json::Map<_, _> =
             SCORES.iter().map(|(name, _, score)| ((*name).to_owned(), json!(s.spread(score)))).collect();
-        let trials: Vec<Value> =
-            s.trials.iter().map(|t| json!({"seed": t.seed, "run": t.run.display().to_string()})).collect();
-        let less = differences(standings, s);
-        let paired = json!({"psnr": less, "over_seeds": Spread::of(&less)});
-        json!({"entry": s.label, "steps": s.steps, "over_seeds": spreads, "less_the_first": paired, "trials": trials})
+        let psnr = |t: &Trial| t.scores.mean.psnr;
+        let of_first = |seed| standings.first().and_then(|first| first.of_seed(seed)).and_then(psnr);
+        let trial = |t: &Trial| {
+            let less = psnr(t).zip(of_first(t.seed)).map(|(own, first)| own - first);
+            json!({"seed": t.seed, "run": t.run.display().to_string(), "psnr_less_the_first": less})
+        };
+        let trials: Vec<Value> = s.trials.iter().map(trial).collect();
+        let less = Spread::of(&differences(standings, s));
+        json!({"entry": s.label, "steps": s.steps, "over_seeds": spreads, "psnr_less_the_first": less, "trials": trials})
     };
     json!({"entries": standings.iter().map(entry).collect::<Vec<_>>()})
 }

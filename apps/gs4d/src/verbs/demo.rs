@@ -83,7 +83,7 @@ impl Demo {
 
     /// Generates the data and starts a run.
     fn begin(&self, global: &Global) -> Result<Training, Failure> {
-        let device = self.device.open(global)?;
+        let device = self.device.open_to_train(global)?;
         let (root, data_folder) = (self.out.join("run"), self.out.join("data"));
         if root.exists() && !self.force {
             return Err(Failure::new(Class::Io, "io.exists", "an older demo is in that folder")

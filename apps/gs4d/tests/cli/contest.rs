@@ -42,7 +42,10 @@ fn trials_are_scored_kept_and_never_mixed_up() {
     };
     for k in [0, 1] {
         let want = [0, 1].map(|seed| psnr(k, seed) - psnr(0, seed));
-        assert_eq!(entries[k]["less_the_first"]["psnr"], serde_json::json!(want), "the same seeds");
+        let trials = entries[k]["trials"].as_array().unwrap();
+        let less: Vec<f64> = trials.iter().map(|t| t["psnr_less_the_first"].as_f64().unwrap()).collect();
+        assert_eq!(less, want, "the same seeds");
+        assert_eq!(entries[k]["psnr_less_the_first"]["mean"], serde_json::json!((want[0] + want[1]) / 2.0));
     }
 
     let again = contest(good, &["--steps", "12", "--seeds", "0,1"]);

@@ -1,5 +1,5 @@
 // One thread a value: Adam, as gs_train::adam states it. Each workgroup lies within one block. A value with a gradient that is not
-// finite is left alone and counted. A frame that did not fit changes nothing.
+// finite is left alone, and its row is counted. A frame that did not fit changes nothing.
 
 struct Block {
     rate: f32,    // lr / (1 - beta1^t); 0: the block does not learn
@@ -8,8 +8,8 @@ struct Block {
     keep: f32,    // 1 - lr weight_decay
     end: u32,     // its last value, plus one
     learns: u32,
-    counter: u32, // which of the counters counts its gradients that are not finite
-    unused: u32,
+    start: u32,   // its first value
+    width: u32,   // of a row
 }
 
 struct Adam {
@@ -26,7 +26,12 @@ struct Adam {
 @group(0) @binding(4) var<storage, read> grads: array<f32>;
 @group(0) @binding(5) var<storage, read_write> values: array<f32>;
 @group(0) @binding(6) var<storage, read_write> moments: array<vec2<f32>>;
-@group(0) @binding(7) var<storage, read_write> counters: array<atomic<u32>>;
+@group(0) @binding(7) var<storage, read_write> counters: array<atomic<u32>>; // behind the first: of each block, rows and the first
+
+// From the bits: compilers may assume that every number is finite.
+fn is_finite(x: f32) -> bool {
+    return (bitcast<u32>(x) & 0x7f800000u) != 0x7f800000u;
+}
 
 @compute @workgroup_size(256)
 fn main(
@@ -44,8 +49,17 @@ fn main(
         return;
     }
     let g = grads[at];
-    if ((bitcast<u32>(g) & 0x7f800000u) == 0x7f800000u) {
-        atomicAdd(&counters[block.counter], 1u);
+    if (!is_finite(g)) {
+        // A row is counted by the first such value in it; rows backwards, so that the largest number is the first row.
+        let row = (at - block.start) / block.width;
+        for (var k = block.start + row * block.width; k < at; k++) {
+            if (!is_finite(grads[k])) {
+                return;
+            }
+        }
+        let counter = 1u + 2u * owners[index];
+        atomicAdd(&counters[counter], 1u);
+        atomicMax(&counters[counter + 1u], 0xffffffffu - row);
         return;
     }
     let m = adam.beta1 * moments[at].x + (1.0 - adam.beta1) * g;

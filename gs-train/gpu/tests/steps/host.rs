@@ -115,7 +115,10 @@ fn what_a_device_cannot_make_the_host_makes() {
         ("static3d", "schedule.lambda_fre = 0.1", "the amplitude-spectrum loss (schedule.lambda_fre) is on"),
         ("static3d", "schedule.batch = 2", "steps have more than one view"),
         ("fourdgs", "field.scale_rule = \"add\"", "scales have a limit (field.scale_rule is add)"),
-        ("fourdgs", "still.pixels = 0.5", "the method is more than a cloud and a field"),
+        ("fourdgs", "still.pixels = 0.5", "still splats are left out of the field (still.pixels)"),
+        ("static3d", "schedule.sparse_adam = true", "updates are sparse"),
+        ("static3d", "schedule.lr.cloud.means.sparse = true", "updates are sparse"),
+        ("static3d", "schedule.exposure.fit = true", "exposures are fitted"),
         ("modec", "", "the method is more than a cloud and a field"),
     ] {
         let trainer = start(method, &[over]).on(&gs_train_gpu::device(&gpu)).expect("a device");

@@ -206,11 +206,15 @@ where
         Ok(StepEvents { densified, log })
     }
 
-    fn moved_cloud(&self, view: &ViewCtx<'_>) -> Option<MovedCloud<'_>> {
+    fn moved_cloud(&self, view: &ViewCtx<'_>) -> Result<MovedCloud<'_>, &'static str> {
         let at = &self.canonical.at;
-        let regular = !at.dynamic || at.step >= self.regular_from;
-        let whole = regular && !self.resting.on() && self.still.is_none();
-        whole.then(|| self.canonical.moved_by(Some(&self.field as &dyn Any), self.training_time(view.at.t)))
+        if self.resting.on() || self.still.is_some() {
+            return Err("still splats are left out of the field (still.pixels)");
+        }
+        if at.dynamic && at.step < self.regular_from {
+            return Err("the field's regularisers begin later than the field");
+        }
+        Ok(self.canonical.moved_by(Some(&self.field as &dyn Any), self.training_time(view.at.t)))
     }
 
     fn splat_count(&self) -> usize {

@@ -98,8 +98,8 @@ impl Method for Static3d {
         Ok(StepEvents { densified: self.canonical.densify()?, log: Vec::new() })
     }
 
-    fn moved_cloud(&self, view: &ViewCtx<'_>) -> Option<MovedCloud<'_>> {
-        Some(self.canonical.moved_by(None, view.at.t))
+    fn moved_cloud(&self, view: &ViewCtx<'_>) -> Result<MovedCloud<'_>, &'static str> {
+        Ok(self.canonical.moved_by(None, view.at.t))
     }
 
     fn splat_count(&self) -> usize {
