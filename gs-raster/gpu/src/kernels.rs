@@ -40,7 +40,8 @@ pub(crate) struct Kernels {
     pub camera_backward: Kernel,
 }
 
-const INDEX: &str = include_str!("shaders/index.wgsl");
+/// WGSL of `workgroup_index`, the number of a workgroup of a dispatch by [`groups`](crate::groups).
+pub const INDEX: &str = include_str!("shaders/index.wgsl");
 const VIEW: &str = include_str!("shaders/view.wgsl");
 const DOUBLE: &str = include_str!("shaders/double.wgsl");
 const GEOMETRY: &str = include_str!("shaders/geometry.wgsl");

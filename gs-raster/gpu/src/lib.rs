@@ -66,7 +66,7 @@ mod view;
 
 pub use device::{Gpu, GpuOptions};
 pub use error::GpuError;
-pub use kernels::{Bind, Kernel};
+pub use kernels::{Bind, INDEX, Kernel};
 pub use memory::{Array, Readback};
 pub use renderer::Renderer;
 pub use resident::{FrameArrays, Shape, SplatArrays};

@@ -71,6 +71,7 @@ impl Renderer {
     /// # Errors
     /// They do not fit the device.
     pub fn make_room(&mut self, shape: Shape) -> Result<(), GpuError> {
+        self.last = None;
         let (gpu, c, n) = (&self.gpu, &mut self.columns, 4 * u64::from(shape.splats));
         c.means.resize(gpu, 3 * n)?;
         c.quats.resize(gpu, 4 * n)?;
@@ -97,6 +98,7 @@ impl Renderer {
         camera: &Camera,
         options: &RasterOptions,
     ) -> Result<(), GpuError> {
+        self.last = None;
         let view = View::new(shape, camera, options, self.room(shape.splats));
         self.encode(encoder, &view, false)?;
         self.make_room_for_gradients(&view, shape.color_width())?;

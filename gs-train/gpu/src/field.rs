@@ -129,22 +129,20 @@ impl Field {
         self.planes.planes.clear(encoder);
     }
 
-    /// The offsets of all splats, at the means of this name. A field whose blocks are not among those loaded gives none.
-    pub(crate) fn forward(&self, at: &mut At<'_, '_>, store: &Store, field: Known<'_>, means: &str) {
-        let done = match field {
+    /// The offsets of all splats, at the means of this name; none if a block of the field was not loaded.
+    pub(crate) fn forward(&self, at: &mut At<'_, '_>, store: &Store, field: Known<'_>, means: &str) -> Option<()> {
+        match field {
             Known::Planes(_) => self.planes.forward(at, store, means, &self.offsets),
             Known::Network(_) => self.network.forward(at, store, means, &self.offsets),
-        };
-        debug_assert!(done.is_some(), "the blocks of the field are loaded");
+        }
     }
 
     /// Gradients of the field's parameters from those of the offsets; those through the places are added to the means'.
-    pub(crate) fn backward(&self, at: &mut At<'_, '_>, store: &Store, field: Known<'_>, means: &str) {
-        let done = match field {
+    pub(crate) fn backward(&self, at: &mut At<'_, '_>, store: &Store, field: Known<'_>, means: &str) -> Option<()> {
+        match field {
             Known::Planes(_) => self.planes.backward(at, store, means, &self.offsets),
             Known::Network(_) => self.network.backward(at, store, &self.offsets),
-        };
-        debug_assert!(done.is_some(), "the blocks of the field are loaded");
+        }
     }
 
     /// What its regularisers leave to be read back, if it has any.

@@ -25,12 +25,12 @@ impl Images {
     }
 
     pub(crate) fn put(&mut self, gpu: &Gpu, view: usize, scale: f64, image: &ImageU8) -> Result<(), GpuError> {
-        let size = image.data.len() as u64;
+        let mut array = Array::new(gpu, "an image");
+        array.upload(gpu, &image.data)?;
+        let size = array.buffer().size();
         if scale != self.scale || self.bytes + size > MOST {
             *self = Self { scale, ..Self::default() };
         }
-        let mut array = Array::new(gpu, "an image");
-        array.upload(gpu, &image.data)?;
         self.by_view.insert(view, array);
         self.bytes += size;
         Ok(())

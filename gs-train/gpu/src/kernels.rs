@@ -1,7 +1,7 @@
 //! The kernels of a step, compiled once.
 
 use gs_gpu::Bind::{self, Read, Uniform, Write};
-use gs_gpu::{Gpu, Kernel};
+use gs_gpu::{Gpu, INDEX, Kernel};
 
 pub(crate) struct Kernels {
     pub activate: Kernel,
@@ -24,7 +24,6 @@ pub(crate) struct Kernels {
     pub adam: Kernel,
 }
 
-const INDEX: &str = include_str!("shaders/index.wgsl");
 const CLOUD: &str = include_str!("shaders/cloud.wgsl");
 const PLANES: &str = include_str!("shaders/planes.wgsl");
 const FIXED_POINT: &str = include_str!("shaders/fixed_point.wgsl");

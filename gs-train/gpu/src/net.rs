@@ -207,8 +207,9 @@ impl Products<'_, '_, '_> {
         let Kernels { linear, .. } = self.at.kernels;
         let all = std::iter::once(self.at.uniforms.part(&uniform)).chain(arrays);
         let bound = linear.bind_resources(self.at.gpu.device(), all);
-        let tiles = [product.rows, product.columns].map(|n| n.div_ceil(TILE));
-        linear.run(self.at.pass, &bound, [tiles[0] * tiles[1], product.inner.div_ceil(product.chunk)]);
+        let [rows, columns] = [product.rows, product.columns].map(|n| u64::from(n.div_ceil(TILE)));
+        let chunks = u64::from(product.inner.div_ceil(product.chunk).max(1));
+        linear.run(self.at.pass, &bound, groups(rows * columns * chunks, 1));
     }
 }
 

@@ -97,16 +97,7 @@ impl PlaneField {
 
     /// Which offsets there are: 1 of means, 2 of scales, 4 of quaternions.
     pub(crate) fn moves(&self) -> u32 {
-        let bit = |first: usize| {
-            if first == 0 {
-                1
-            } else if first == 3 {
-                2
-            } else {
-                4
-            }
-        };
-        self.shape.heads.iter().map(|head| bit(head.1)).sum()
+        self.shape.heads.iter().map(|head| 1 << (head.1 / 3)).sum()
     }
 
     /// Sets the time of the step.

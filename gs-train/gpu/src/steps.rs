@@ -95,6 +95,9 @@ impl Steps {
 
     fn attempt(&mut self, step: &DeviceStep<'_>) -> Result<Results, GpuError> {
         let gpu = self.gpu.clone();
+        if self.images.get(step.view).is_none() {
+            return Err(missing(&gpu, "the image of the step"));
+        }
         let cloud = &step.cloud;
         let shape = Shape { splats: to_u32(cloud.cloud.len()), sh_degree: Some(cloud.sh_degree) };
         let moving = cloud.field.filter(|_| cloud.moves).and_then(Known::of);
@@ -119,11 +122,11 @@ impl Steps {
         let mut encoder = gpu.device().create_command_encoder(&desc);
         encoder.clear_buffer(self.counters.buffer(), 0, None);
         self.field.clear(&mut encoder);
-        self.encode_splats(&mut encoder, &sizes, moving, shape, stored);
+        self.encode_splats(&mut encoder, &sizes, moving, shape, stored)?;
         self.renderer.encode_frame(&mut encoder, shape, step.camera, step.options)?;
         self.encode_loss(&mut encoder, step)?;
         self.renderer.encode_backward(&mut encoder)?;
-        self.encode_gradients(&mut encoder, &sizes, moving, shape, stored);
+        self.encode_gradients(&mut encoder, &sizes, moving, shape, stored)?;
         self.encode_update(&mut encoder, step)?;
         self.uniforms.upload(&gpu)?;
         self.read(encoder, moving)
@@ -137,12 +140,13 @@ impl Steps {
         moving: Option<Known<'_>>,
         shape: Shape,
         stored: usize,
-    ) {
+    ) -> Result<(), GpuError> {
         let pass = &mut encoder.begin_compute_pass(&label("splats"));
         let Self { gpu, kernels, renderer, store, field, uniforms, nothing, .. } = self;
         let offsets = match moving {
             Some(known) => {
-                field.forward(&mut At { gpu, kernels, pass, uniforms }, store, known, MEANS);
+                let done = field.forward(&mut At { gpu, kernels, pass, uniforms }, store, known, MEANS);
+                done.ok_or_else(|| missing(gpu, "a block of the field"))?;
                 &field.offsets.values
             }
             None => &nothing[0],
@@ -173,6 +177,7 @@ impl Steps {
         let kernel = &kernels.activate_colors;
         let size = groups(n * stored as u64, GROUP);
         kernel.run(pass, &kernel.bind_resources(gpu.device(), arrays.into_iter()), size);
+        Ok(())
     }
 
     /// The cotangent of the frame.
@@ -193,7 +198,7 @@ impl Steps {
         moving: Option<Known<'_>>,
         shape: Shape,
         stored: usize,
-    ) {
+    ) -> Result<(), GpuError> {
         let pass = &mut encoder.begin_compute_pass(&label("gradients"));
         let Self { gpu, kernels, renderer, store, field, uniforms, counters, nothing, .. } = self;
         let (splats, frame, n) = (renderer.splats(), renderer.frame(), u64::from(shape.splats));
@@ -227,8 +232,10 @@ impl Steps {
         let size = groups(n * stored as u64, GROUP);
         kernel.run(pass, &kernel.bind_resources(gpu.device(), arrays.into_iter()), size);
         if let Some(known) = moving {
-            field.backward(&mut At { gpu, kernels, pass, uniforms }, store, known, MEANS);
+            let done = field.backward(&mut At { gpu, kernels, pass, uniforms }, store, known, MEANS);
+            done.ok_or_else(|| missing(gpu, "a block of the field"))?;
         }
+        Ok(())
     }
 
     /// Adam, and the statistics of densification.
@@ -284,6 +291,11 @@ fn view_of<'a>(step: &DeviceStep<'a>, images: &'a Images, nothing: &'a Array) ->
         dssim: step.dssim,
         image: images.get(step.view).unwrap_or(nothing),
     }
+}
+
+/// A step that was asked for without all that it needs.
+fn missing(gpu: &Gpu, what: &str) -> GpuError {
+    GpuError::Rejected { adapter: gpu.name().to_owned(), why: format!("{what} is not there") }
 }
 
 fn label(name: &str) -> wgpu::ComputePassDescriptor<'_> {

@@ -1,8 +1,8 @@
 // One thread a value: Adam, as gs_train::adam states it. Each workgroup lies within one block. A value with a gradient that is not
-// finite is left alone, and its row is counted. A frame that did not fit changes nothing.
+// finite is left alone, and its row is counted (the host leaves all of the row). A frame that did not fit changes nothing.
 
 struct Block {
-    rate: f32,    // lr / (1 - beta1^t); 0: the block does not learn
+    rate: f32,    // lr / (1 - beta1^t)
     root: f32,    // 1 / sqrt(1 - beta2^t)
     eps: f32,
     keep: f32,    // 1 - lr weight_decay

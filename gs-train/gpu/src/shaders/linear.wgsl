@@ -38,12 +38,22 @@ var<workgroup> tile_a: array<f32, 1024>; // [DEPTH, TILE]
 var<workgroup> tile_b: array<f32, 1024>;
 
 @compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) lane: u32,
+) {
     let p = product;
+    let index = workgroup_index(group, groups);
     let tiles = (p.columns + TILE - 1u) / TILE;
-    let m0 = TILE * (group.x / tiles);
-    let n0 = TILE * (group.x % tiles);
-    let begin = group.y * p.chunk;
+    let all = tiles * ((p.rows + TILE - 1u) / TILE);
+    let chunk = index / all;
+    let m0 = TILE * ((index % all) / tiles);
+    let n0 = TILE * (index % tiles);
+    let begin = chunk * p.chunk;
+    if (chunk > 0u && begin >= p.inner) {
+        return;
+    }
     let end = min(begin + p.chunk, p.inner);
     let given = p.columns - p.ones;
     let row = lane / 16u;
@@ -95,7 +105,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
             }
             let at = p.c_row * m + n;
             var value = sum[r][s];
-            let place = p.c_at + group.y * p.rows * p.columns + at;
+            let place = p.c_at + chunk * p.rows * p.columns + at;
             if ((p.after & ADD) != 0u) {
                 value += c[place];
             }

@@ -54,7 +54,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     let wanted = truth_at(pixel, channel);
     let d = rendered - wanted;
     let d_ssim = sum.x + 2.0 * ((rendered + wanted) * sum.y + d * sum.z);
-    d_frame[3u * pixel + channel] = loss.l1 * sign(d) - loss.dssim * d_ssim;
+    d_frame[3u * pixel + channel] = loss.l1 * sign(d) - select(0.0, loss.dssim * d_ssim, loss.dssim > 0.0);
     if (channel == 0u) {
         d_frame[3u * pixels + pixel] = 0.0;
         d_frame[4u * pixels + pixel] = 0.0;

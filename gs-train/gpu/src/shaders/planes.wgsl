@@ -13,7 +13,7 @@ struct Planes {
     channels: u32,
     time_row: u32,     // first of the two rows of time around the timestamp
     low: vec4<f32>,    // corner of the box; weight of the second row of time
-    spread: vec4<u32>, // bits that the sum over all points takes beyond one point's, whether points learn
+    spread: vec4<u32>, // bits left to one contribution (see planes_backward.wgsl), whether points learn
     all: array<Level, 8>,
 }
 

@@ -1,13 +1,14 @@
 // The gradient of the planes, summed over points in integers, so that their order does not matter, and that of the points. Two runs: the
 // first finds the largest contribution to every plane, from which the second takes the unit of its sums:
 //
-//   v = (high + low 2^-spread) / 2^scale        spread = 30 - b, n <= 2^b points, every contribution to the plane below 2^(spread - scale)
+//   v = (high 2^32 + low) / 2^(32 + scale)      of 64 bits, every contribution below 2^(spread - scale), spread = 30 - b, n <= 2^b points
 //
-// so that neither sum overflows, and a contribution is rounded to 2^(2b - 59) of the largest one.
+// so that the sum does not overflow, and a contribution is rounded to 2^(b - 61) of the largest one. The two words are added apart, and
+// what the low one carries to the high one: whole numbers modulo 2^64, in any order.
 
 @group(0) @binding(3) var<storage, read> d_features: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> peaks: array<atomic<u32>>;    // [levels, 6]: bits of the largest contribution
-@group(0) @binding(5) var<storage, read_write> sums: array<atomic<i32>>;     // [texels, 4, 2]: high and low
+@group(0) @binding(5) var<storage, read_write> sums: array<atomic<u32>>;     // [texels, 4, 2]: low and high
 @group(0) @binding(6) var<storage, read_write> d_points: array<vec4<f32>>;   // [points, quads]
 
 var<workgroup> peaks_here: array<atomic<u32>, 48>;
@@ -45,10 +46,9 @@ fn find_peaks(
         let task = task_of(index);
         let d = cotangents(samples(task), d_features[index]);
         for (var p = 0u; p < 6u; p++) {
-            let size = abs(d[p]);
-            // Of numbers that are not negative, the bits are in the order of the numbers.
-            let most = max(max(size.x, size.y), max(size.z, size.w));
-            atomicMax(&peaks_here[6u * task.level + p], bitcast<u32>(most));
+            // Of numbers that are not negative, the bits are in the order of the numbers; those of NaN are above all.
+            let bits = bitcast<vec4<u32>>(d[p]) & vec4(0x7fffffffu, 0x7fffffffu, 0x7fffffffu, 0x7fffffffu);
+            atomicMax(&peaks_here[6u * task.level + p], max(max(bits.x, bits.y), max(bits.z, bits.w)));
         }
     }
     workgroupBarrier();
@@ -57,29 +57,34 @@ fn find_peaks(
     }
 }
 
-fn add(at: u32, v: vec4<f32>, unit: f32, fine: f32) {
+fn add(at: u32, v: vec4<f32>, unit: f32) {
     for (var k = 0u; k < 4u; k++) {
-        let scaled = v[k] * unit;
-        let high = round(scaled);
-        if (high != 0.0) {
-            atomicAdd(&sums[8u * at + 2u * k], i32(high));
+        let scaled = abs(v[k]) * unit;
+        let whole = floor(scaled);
+        var low = u32((scaled - whole) * 4294967296.0);
+        var high = u32(whole);
+        if (v[k] < 0.0) {
+            high = ~high + select(0u, 1u, low == 0u);
+            low = 0u - low;
         }
-        let low = round((scaled - high) * fine);
-        if (low != 0.0) {
-            atomicAdd(&sums[8u * at + 2u * k + 1u], i32(low));
+        if (low != 0u) {
+            let before = atomicAdd(&sums[8u * at + 2u * k], low);
+            high += select(0u, 1u, before + low < before);
+        }
+        if (high != 0u) {
+            atomicAdd(&sums[8u * at + 2u * k + 1u], high);
         }
     }
 }
 
 fn scatter(task: Task, plane: u32, first: u32, a: u32, b: u32, cell_a: Cell, cell_b: Cell, d: vec4<f32>) {
     let unit = power_of_two(unit_exponent(atomicLoad(&peaks[6u * task.level + plane]), planes.spread.x));
-    let fine = power_of_two(i32(planes.spread.x));
     let at = texel_at(task, first, a, b, cell_a.index, cell_b.index);
     let next = 4u * planes.all[task.level].nodes[a];
-    add(at, (1.0 - cell_a.weight) * (1.0 - cell_b.weight) * d, unit, fine);
-    add(at + 4u, cell_a.weight * (1.0 - cell_b.weight) * d, unit, fine);
-    add(at + next, (1.0 - cell_a.weight) * cell_b.weight * d, unit, fine);
-    add(at + next + 4u, cell_a.weight * cell_b.weight * d, unit, fine);
+    add(at, (1.0 - cell_a.weight) * (1.0 - cell_b.weight) * d, unit);
+    add(at + 4u, cell_a.weight * (1.0 - cell_b.weight) * d, unit);
+    add(at + next, (1.0 - cell_a.weight) * cell_b.weight * d, unit);
+    add(at + next + 4u, cell_a.weight * cell_b.weight * d, unit);
 }
 
 fn total(v: vec4<f32>) -> f32 {

@@ -19,7 +19,7 @@ struct Plane {
 @group(0) @binding(0) var<uniform> plane: Plane;
 @group(0) @binding(1) var<storage, read> values: array<f32>;
 @group(0) @binding(2) var<storage, read> peaks: array<u32>;
-@group(0) @binding(3) var<storage, read_write> sums: array<vec2<i32>>;
+@group(0) @binding(3) var<storage, read_write> sums: array<vec2<u32>>;
 @group(0) @binding(4) var<storage, read_write> grads: array<f32>;
 @group(0) @binding(5) var<storage, read_write> partials: array<vec2<f32>>; // per workgroup: squared second differences, distances to one
 
@@ -31,6 +31,15 @@ fn second_difference(at: u32, row: u32, stride: u32) -> f32 {
         return 0.0;
     }
     return values[at] + values[at + 2u * stride] - 2.0 * values[at + stride];
+}
+
+// A whole number of 64 bits, low word first, over 2^32.
+fn number(sum: vec2<u32>) -> f32 {
+    let negative = (sum.y >> 31u) != 0u;
+    let low = select(sum.x, 0u - sum.x, negative);
+    let high = select(sum.y, ~sum.y + select(0u, 1u, sum.x == 0u), negative);
+    let size = f32(high) + f32(low) * 2.3283064365386963e-10;
+    return select(size, -size, negative);
 }
 
 @compute @workgroup_size(256)
@@ -45,12 +54,11 @@ fn main(
     if (own < plane.len) {
         let at = plane.at + own;
         let unit = power_of_two(-unit_exponent(peaks[plane.number], plane.spread));
-        let fine = power_of_two(-i32(plane.spread));
-        var g = (f32(sums[at].x) + f32(sums[at].y) * fine) * unit;
+        var g = number(sums[at]) * unit;
         if ((peaks[plane.number] & 0x7f800000u) == 0x7f800000u) {
             g = bitcast<f32>(peaks[plane.number]); // a contribution was not finite
         }
-        sums[at] = vec2(0, 0);
+        sums[at] = vec2(0u, 0u);
         let stride = 16u * plane.nodes_a;
         let row = (own / stride) % plane.nodes_b;
         if (plane.smoothness > 0.0) {

@@ -96,6 +96,19 @@ fn a_cloud_moved_by_a_network() {
 }
 
 #[test]
+fn more_splats_than_one_workgroup_sums() {
+    let many = "init.points = 1500\nschedule.density.max_splats = 2000\nfield.width = 96";
+    for method in ["fourdgs", "defgs"] {
+        compare(method, 45, &[many]);
+    }
+    // Angles far beyond what f32 resolves in radians.
+    compare("defgs", 45, &["field.bands_position = 20\nfield.coordinate_scale = 50.0"]);
+    // A field without any head.
+    let none = "field.move_means = false\nfield.move_scales = false\nfield.move_quats = false";
+    compare("fourdgs", 45, &[none]);
+}
+
+#[test]
 fn settings_of_the_field_and_of_the_loss() {
     compare("fourdgs", 50, &["field.depth = 3\nfield.move_scales = false\nfield.hexplane.levels = [1, 2, 4]"]);
     compare(
