@@ -27,7 +27,7 @@ pub(super) struct Candidate {
     pub residuals: [f64; 3],
     /// The window of time that was fitted.
     pub unit: f64,
-    /// Factor on `(JᵀJ)⁻¹`: frames that errors stay alike, and parameters that took their share of them.
+    /// Factor on `(JᵀJ)⁻¹`: errors over those of them that are independent and not taken by a parameter.
     pub variance: f64,
 }
 
@@ -58,7 +58,8 @@ impl<'a> Window<'a> {
             all.into_iter().filter(|c| c.path.plausible(&c.minimum.at)).min_by(|a, b| score(a).total_cmp(&score(b)));
         let best = best.unwrap_or_else(|| self.along(Path::Rest));
         let errors = (3 * self.kinds().len() * self.times) as f64;
-        Candidate { variance: alike * errors / (errors - best.path.count() as f64), ..best }
+        let free = (errors / alike - best.path.count() as f64).max(1.0);
+        Candidate { variance: errors / free, ..best }
     }
 
     /// Largest errors that longer windows may have, by those of this one; places are known too well to say when motion changed.

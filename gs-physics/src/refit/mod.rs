@@ -20,8 +20,8 @@
 //! growing ahead.
 //!
 //! Of all paths the one of least `Σ N/L ln(S/N) + n ln(N/L)` is taken (`n` parameters; `L`: number of frames that errors stay alike,
-//! from their correlation), so that a body at rest stays at rest. `L (JᵀJ)⁻¹` is the covariance of `p`: [`Body::deviation`] carries
-//! it to any time.
+//! from their correlation), so that a body at rest stays at rest. The covariance of `p` is `L M / (M − L n) (JᵀJ)⁻¹` for `M` errors, of which `M / L`
+//! are independent: [`Body::deviation`] carries it to any time, beside the error of the place at `τ = 0`.
 //!
 //! Motion that has changed (a ball leaves a hand) has no such path through all times. The oldest times are left out until the
 //! velocities of the rest are explained about as well as those of the latest alone.
@@ -154,7 +154,7 @@ impl Body {
             .flat_map(|i| (0..self.p.len()).map(move |j| (i, j)))
             .map(|(i, j)| self.covariance[i][j] * columns[i].iter().zip(&columns[j]).map(|(a, b)| a * b).sum::<f64>())
             .sum();
-        variance.max(0.0).sqrt()
+        (variance.max(0.0) + 3.0 * self.residuals[0].powi(2)).sqrt()
     }
 
     fn predict(&self, p: &[f64], tau: f64) -> Pose {
