@@ -42,6 +42,8 @@ fn probe(dir: &Path) -> Option<Confidence> {
 /// # Errors
 /// See [`DataError`]; every error names file and field.
 fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
+    options.without_images(LAYOUT.name)?;
+    options.without_fps(LAYOUT.name)?;
     let root = Root::new(dir)?;
     let mut notes = Vec::new();
     let train_file = dir.join("transforms_train.json");

@@ -366,9 +366,13 @@ impl DataError {
             }
             Self::Decode { .. } => "open the image elsewhere; export it as 8 or 16 bit PNG or as JPEG".into(),
             Self::Character { .. } => "export the character again as glTF or GLB".into(),
-            Self::Points { .. } => "export the points again, or remove ply_file_path to start without them".into(),
+            Self::Points { .. } => "put the file there or export it again; to start without it, remove what names it: points of [start] in \
+                                    scene.toml, or ply_file_path in transforms.json"
+                .into(),
             Self::ImageSize { .. } => "resize the image, or correct w and h in the camera file".into(),
             Self::Empty { .. } => "list at least one training view whose image exists".into(),
+            Self::Option { name: "--from", .. } => "leave --from out, or name another source".into(),
+            Self::Option { name: name @ ("data.images" | "data.fps"), .. } => format!("leave {name} out"),
             Self::Option { rule, .. } => format!("give a value that fits: {rule}"),
         }
     }

@@ -233,9 +233,11 @@ impl Dataset {
         Ok(())
     }
 
-    /// Marks training views whose loss counts inside their masks alone.
+    /// Marks views whose loss counts inside their masks alone: those of training, and held-out ones whose cameras are placed by it.
     fn mask_loss(&mut self) -> Result<(), DataError> {
-        let masked = self.train.iter_mut().filter(|v| v.mask.is_some()).map(|v| v.mask_loss = true).count();
+        let masked = self.train.iter().filter(|v| v.mask.is_some()).count();
+        let held_out = self.val.iter_mut().chain(&mut self.test).chain(&mut self.extrapolate);
+        self.train.iter_mut().chain(held_out).for_each(|v| v.mask_loss = v.mask.is_some());
         if masked == 0 {
             let rule = "false where no training view has a mask".into();
             return Err(DataError::Option { name: "data.mask_loss", value: "true".into(), rule });

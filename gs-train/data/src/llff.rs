@@ -77,6 +77,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let cameras = camera_names(dir)?;
     let mut notes = Vec::new();
     let (listed, frames) = if cameras.is_empty() {
+        options.without_fps(LAYOUT.name)?;
         (image_per_row(&root, rows.len(), options, &mut notes)?, 1)
     } else {
         videos(&root, &rows, &cameras, options, &mut notes)?
@@ -239,13 +240,20 @@ fn videos(
 
 /// Folder and names of a camera's frames, if there are any.
 fn frames_of(root: &Root, camera: &str, options: &DataOptions) -> Result<Option<(String, Vec<String>)>, DataError> {
-    let sub = options.images.as_deref().unwrap_or("images");
-    for folder in [format!("{camera}/{sub}"), camera.to_string()] {
+    let folders = match &options.images {
+        Some(asked) => vec![format!("{camera}/{asked}")],
+        None => vec![format!("{camera}/images"), camera.to_string()],
+    };
+    for folder in folders {
         let dir = root.resolve(&folder, &Place::new(root.dir(), folder.as_str()))?;
         let names = if dir.is_dir() { images(&dir)? } else { Vec::new() };
         if !names.is_empty() {
             return Ok(Some((folder, names)));
         }
+    }
+    if let Some(value) = options.images.clone() {
+        let rule = format!("there are no images in {camera}/{value}");
+        return Err(DataError::Option { name: "data.images", value, rule });
     }
     Ok(None)
 }

@@ -6,7 +6,8 @@
 //! world, OpenGL axes) and optionally `time`, `camera_index` (frames of one camera of a rig share it; where any frame lacks it, frames of
 //! one pose are of one camera), `mask_path` (white counts, black does not) and
 //! `depth_file_path` (`.npy` or PNG of 16 bit, in millimetres unless `depth_unit_scale_factor` at top level says otherwise). `train_filenames`, `val_filenames`, `test_filenames` give the split; without
-//! the first, every frame of neither other list trains; without any, every eighth view is held out. `ply_file_path` names the initial points. `applied_transform` is not used:
+//! the first, every frame of neither other list trains; without any, every eighth view is held out. `data.images` names the folder
+//! to read instead of `images/`. `ply_file_path` names the initial points. `applied_transform` is not used:
 //! poses and points are both in the transformed world.
 
 use std::collections::{HashMap, HashSet};
@@ -57,6 +58,7 @@ struct Frame {
 /// # Errors
 /// See [`DataError`]; every error names file and field.
 fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
+    options.without_fps(LAYOUT.name)?;
     let root = Root::new(dir)?;
     let file = dir.join("transforms.json");
     let text = read_text(&file, MAX_JSON_BYTES)?;
@@ -65,8 +67,10 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let fisheye = is_fisheye(&document.top())?;
     let shared = PartialIntrinsics::read(&document.top(), fisheye)?;
     let unit = depth_unit(&document.top())?;
-    let frames =
-        (0..document.len()).map(|i| read_frame(&root, &document.frame(i)?, &shared, unit)).collect::<Result<_, _>>()?;
+    let images = options.images.as_deref();
+    let frames = (0..document.len())
+        .map(|i| read_frame(&root, &document.frame(i)?, &shared, unit, images))
+        .collect::<Result<_, _>>()?;
     let mut notes = Vec::new();
     let frames = with_headers(&file, frames, options, &mut notes)?;
     let has_alpha = frames.iter().any(|(_, h)| h.has_alpha);
@@ -156,6 +160,11 @@ impl PartialIntrinsics {
         Ok(stated)
     }
 
+    /// Whether the focal length or the principal point is in pixels of a size.
+    fn counts_pixels(&self) -> bool {
+        self.fl.iter().chain(&self.principal).any(Option::is_some)
+    }
+
     /// The values of a frame, else the shared ones.
     fn or(self, shared: &Self) -> Self {
         fn first<const N: usize>(own: [Option<f64>; N], shared: [Option<f64>; N]) -> [Option<f64>; N] {
@@ -202,15 +211,26 @@ fn read_frame(
     frame: &Fields,
     shared: &PartialIntrinsics,
     depth_unit: f64,
+    images: Option<&str>,
 ) -> Result<Listed<Frame>, DataError> {
     let written = frame.required_text("file_path")?.to_string();
-    let (shown, path) = locate(root, &written, &frame.place("file_path"))?;
+    let image = images.map_or(Ok(written.clone()), |folder| in_folder(&written, folder))?;
+    let (shown, path) = locate(root, &image, &frame.place("file_path"))?;
     let place = frame.place("transform_matrix");
     let file = |key: &'static str| frame.text(key)?.map(|m| root.resolve(m, &frame.place(key))).transpose();
+    let stated = PartialIntrinsics::read(frame, shared.fisheye)?.or(shared);
+    if images.is_some() && stated.counts_pixels() && stated.size.contains(&None) {
+        return Err(DataError::Field {
+            place: frame.place("w"),
+            value: "or h missing".into(),
+            why: "the images that data.images names may have another size than the focal length is stated for",
+            fix: "add w and h",
+        });
+    }
     let rest = Frame {
         pose: from_opengl(&frame.matrix("transform_matrix")?, &place)?,
         time: frame.number("time")?,
-        stated: PartialIntrinsics::read(frame, shared.fisheye)?.or(shared),
+        stated,
         time_place: frame.place("time"),
         place: frame.place(""),
         written,
@@ -219,6 +239,17 @@ fn read_frame(
         camera: camera_index(frame)?,
     };
     Ok(Listed { shown, path, rest })
+}
+
+/// The path of an image in another folder: `images/a.png` in `images_4` is `images_4/a.png`.
+fn in_folder(written: &str, folder: &str) -> Result<String, DataError> {
+    let unix = written.replace('\\', "/");
+    let inside = unix.trim_start_matches("./").strip_prefix("images/").ok_or_else(|| DataError::Option {
+        name: "data.images",
+        value: folder.into(),
+        rule: format!("it replaces images/ in the paths of frames, and \"{written}\" is not there"),
+    })?;
+    Ok(format!("{}/{inside}", folder.trim_end_matches('/')))
 }
 
 /// The number of a camera that took several frames.
@@ -293,10 +324,30 @@ fn split(
         notes.push(hold_out_note(options.hold_out, out.len()));
         return Ok(targets);
     }
-    let mut listed: HashMap<&str, Target> = train.iter().flatten().map(|name| (name.as_str(), Target::Train)).collect();
+    let frames: HashSet<String> = (0..document.len())
+        .map(|i| Ok(document.frame(i)?.required_text("file_path")?.to_owned()))
+        .collect::<Result<_, DataError>>()?;
+    let mut listed: HashMap<&str, Target> = HashMap::new();
+    for (i, name) in train.iter().flatten().enumerate() {
+        if !frames.contains(name) {
+            return Err(no_frame(document, TRAIN, i, name));
+        }
+        listed.insert(name, Target::Train);
+    }
     for (key, list, target) in &held {
-        check_held_out(document, train.as_deref(), key, list)?;
-        listed.extend(list.iter().map(|name| (name.as_str(), *target)));
+        for (i, name) in list.iter().enumerate() {
+            if !frames.contains(name) {
+                return Err(no_frame(document, key, i, name));
+            }
+            if matches!(listed.insert(name, *target), Some(Target::Train)) {
+                return Err(DataError::Field {
+                    place: document.top().place(&format!("{key}[{i}]")),
+                    value: format!("\"{name}\", which {TRAIN} lists too"),
+                    why: "a view that trains cannot be held out",
+                    fix: "remove it from one of the lists",
+                });
+            }
+        }
     }
     let others = written.iter().filter(|name| !listed.contains_key(name.as_str())).count();
     let rest = if train.is_some() { Target::Nowhere } else { Target::Train };
@@ -308,32 +359,13 @@ fn split(
     Ok(written.iter().map(|name| listed.get(name.as_str()).copied().unwrap_or(rest)).collect())
 }
 
-/// Refuses a frame that trains and is held out. Where all other frames train, a name that is held out must be that of a frame.
-fn check_held_out(document: &Document, train: Option<&[String]>, key: &str, list: &[String]) -> Result<(), DataError> {
-    let (known, what, why, fix): (HashSet<String>, _, _, _) = match train {
-        Some(train) => (
-            train.iter().cloned().collect(),
-            "which train_filenames lists too",
-            "a view that trains cannot be held out",
-            "remove it from one of the lists",
-        ),
-        None => (
-            (0..document.len())
-                .map(|i| Ok(document.frame(i)?.required_text("file_path")?.to_owned()))
-                .collect::<Result<_, DataError>>()?,
-            "which is the file_path of no frame",
-            "all frames that are not held out train, and its frame would be one of them",
-            "write it as the frame does",
-        ),
-    };
-    match list.iter().position(|name| known.contains(name) == train.is_some()) {
-        None => Ok(()),
-        Some(i) => Err(DataError::Field {
-            place: document.top().place(&format!("{key}[{i}]")),
-            value: format!("\"{}\", {what}", list[i]),
-            why,
-            fix,
-        }),
+/// The `i`-th name of a list is that of no frame.
+fn no_frame(document: &Document, key: &str, i: usize, name: &str) -> DataError {
+    DataError::Field {
+        place: document.top().place(&format!("{key}[{i}]")),
+        value: format!("\"{name}\", which is the file_path of no frame"),
+        why: "the frame that it means would be of another split",
+        fix: "write it as the frame does",
     }
 }
 

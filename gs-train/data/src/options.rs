@@ -6,6 +6,8 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
+use super::error::DataError;
+
 /// A closed range of times in the data's own units, written `0..1.3`; `end > start`, both finite.
 ///
 /// ```
@@ -143,8 +145,8 @@ pub struct DataOptions {
     pub time_boundary: Option<f64>,
     /// Where the times of frames come from.
     pub time_from: TimeFrom,
-    /// Frames per second for [`TimeFrom::Name`], [`TimeFrom::Order`] and layouts whose files count frames. None: the rate of
-    /// the layout, else [`gs_core::Time::seconds`] equals the normalised time.
+    /// Frames per second for [`TimeFrom::Name`], [`TimeFrom::Order`] and layouts whose files count frames; refused elsewhere. None:
+    /// the rate of the layout, else [`gs_core::Time::seconds`] equals the normalised time.
     pub fps: Option<f64>,
     /// Cameras whose clock is early or late, and the moments by which their images are moved; images that would leave the sequence
     /// are left out. None: the value in `scene.toml` of the data folder.
@@ -172,7 +174,8 @@ pub struct DataOptions {
     /// Nerfies and DyCheck captures: use the focal length alone, as 4DGaussians does: principal point in the centre, no skew,
     /// no distortion.
     pub center_pp: bool,
-    /// Image folder of a COLMAP model; none: the first of `images`, `images_2`, `images_4`, `images_8`, `input`.
+    /// Image folder, of layouts that may have several: for a COLMAP model none is the first of `images`, `images_2`, `images_4`, `images_8`,
+    /// `input`; of nerfstudio it takes the place of `images` in the paths of frames.
     pub images: Option<String>,
     /// Factor on the size of the stored images: above 0, at most 1. Shrinking averages areas.
     pub scale: f64,
@@ -211,6 +214,31 @@ impl Default for DataOptions {
             mask_loss: false,
             max_image_mib: None,
         }
+    }
+}
+
+impl DataOptions {
+    /// Refuses `data.images` in a layout without a choice of image folders.
+    ///
+    /// # Errors
+    /// `data.option`.
+    pub(crate) fn without_images(&self, layout: &str) -> Result<(), DataError> {
+        let Some(value) = self.images.clone() else { return Ok(()) };
+        let rule = format!("the layout {layout} has no choice of image folders");
+        Err(DataError::Option { name: "data.images", value, rule })
+    }
+
+    /// Refuses `data.fps` where times come from files that count no frames.
+    ///
+    /// # Errors
+    /// `data.option`.
+    pub(crate) fn without_fps(&self, layout: &str) -> Result<(), DataError> {
+        let Some(fps) = self.fps.filter(|_| self.time_from == TimeFrom::File) else { return Ok(()) };
+        let rule = format!(
+            "the files of the layout {layout} count no frames; data.time_from=name or order counts, data.time_range \
+             scales times of files"
+        );
+        Err(DataError::Option { name: "data.fps", value: fps.to_string(), rule })
     }
 }
 

@@ -66,6 +66,7 @@ fn probe(dir: &Path) -> Option<Confidence> {
 /// # Errors
 /// See [`DataError`]; every error names file and field.
 fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
+    options.without_images(LAYOUT.name)?;
     let root = Root::new(dir)?;
     let file = dir.join("train_meta.json");
     let mut notes = vec![

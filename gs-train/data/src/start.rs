@@ -56,10 +56,10 @@ impl StartFrom {
     /// Why a data set can have no points of this source.
     fn lacks(self) -> &'static str {
         match self {
-            Self::Colmap => "it has neither points nor a COLMAP model with points in the frame of its poses",
-            Self::Depth => "its training views have no depth",
-            Self::Hull => "its images have neither alpha nor masks that agree anywhere",
-            Self::Random => "its box is empty",
+            Self::Colmap => "the data have neither points nor a COLMAP model with points in the frame of its poses",
+            Self::Depth => "the training views have no depth",
+            Self::Hull => "the images have neither alpha nor masks that agree anywhere",
+            Self::Random => "the scene box is empty",
         }
     }
 }
@@ -97,8 +97,7 @@ impl Dataset {
             }
         }
         let source = sources[0];
-        let rule = format!("the data cannot give that: {}", source.lacks());
-        Err(DataError::Option { name: "--from", value: source.name().into(), rule })
+        Err(DataError::Option { name: "--from", value: source.name().into(), rule: source.lacks().into() })
     }
 
     fn start_from(&self, source: StartFrom, n: usize, seed: u64) -> Result<Option<PointCloud>, DataError> {

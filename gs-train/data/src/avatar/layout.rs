@@ -65,6 +65,7 @@ fn probe(dir: &Path) -> Option<Confidence> {
 /// # Errors
 /// See [`DataError`]; every error names file and field.
 fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
+    options.without_images(LAYOUT.name)?;
     let root = Root::new(dir)?;
     let manifest = Manifest::read(&dir.join("scene.json"))?;
     let cameras = cameras::read(&dir.join("cameras.json"))?;

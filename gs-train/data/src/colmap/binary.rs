@@ -6,11 +6,11 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use super::super::PointCloud;
 use super::super::error::{DataError, Place};
 use super::super::files::read_bytes;
 use super::super::intrinsics::Intrinsics;
-use super::{ImageRow, intrinsics, push_point};
+use super::points::SparsePoints;
+use super::{ImageRow, intrinsics};
 
 /// Largest file read.
 const MAX_BYTES: u64 = 4 << 30;
@@ -138,32 +138,34 @@ pub(super) fn images(file: &Path) -> Result<Vec<ImageRow>, DataError> {
     let count = c.count(MIN_BYTES)?;
     let mut rows = Vec::with_capacity(count);
     for row in 0..count {
-        let _id = c.u32()?;
+        let id = c.u32()?;
         let (quat, translation) = (c.f64s()?, DVec3::from(c.f64s::<3>()?));
         let (camera, name) = (c.u32()?, c.name()?);
         let observations = c.count(OBSERVATION)?;
         c.take(observations * OBSERVATION)?;
-        rows.push(ImageRow { row, name, quat, translation, camera });
+        rows.push(ImageRow { row, id, name, quat, translation, camera });
     }
     c.end()?;
     Ok(rows)
 }
 
-/// `points3D.bin`: id, position, colour, error, track (skipped).
-pub(super) fn points(file: &Path) -> Result<PointCloud, DataError> {
+/// `points3D.bin`: id, position, colour, error, track of pairs: image and its observation.
+pub(super) fn points(file: &Path) -> Result<SparsePoints, DataError> {
     const MIN_BYTES: usize = 8 + 3 * 8 + 3 + 8 + 8;
     const TRACK: usize = 8;
     let bytes = read_bytes(file, MAX_BYTES)?;
     let mut c = Cursor { file, bytes: &bytes, at: 0 };
     let count = c.count(MIN_BYTES)?;
-    let mut cloud = PointCloud { positions: Vec::with_capacity(count), colors: Vec::with_capacity(count) };
-    for row in 0..count {
+    let mut points = SparsePoints::with_capacity(count);
+    for _ in 0..count {
         let _id = c.u64()?;
         let (p, rgb, _error) = (c.f64s()?, c.array()?, c.f64()?);
-        push_point(&mut cloud, p, rgb, file, row)?;
-        let track = c.count(TRACK)?;
-        c.take(track * TRACK)?;
+        points.push(p, rgb, file)?;
+        for _ in 0..c.count(TRACK)? {
+            let (image, _observation) = (c.u32()?, c.u32()?);
+            points.seen(image);
+        }
     }
     c.end()?;
-    Ok(cloud)
+    Ok(points)
 }

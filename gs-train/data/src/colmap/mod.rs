@@ -24,14 +24,16 @@ use super::intrinsics::{Adjusted, Intrinsics, hold_out, hold_out_note};
 use super::lens::Lens;
 use super::options::{DataOptions, TimeFrom, TimeRange};
 use super::pose::{Pose, from_quaternion};
-use super::times::{Draft, Drafts, settle};
+use super::times::{Draft, Drafts, Settled, settle};
 use super::{Confidence, Dataset, ImageSource, Layout, PointCloud, View};
 
 mod binary;
 mod numbered;
+mod points;
 mod reconstruction;
 mod text;
 
+use points::SparsePoints;
 pub use reconstruction::{Reconstruction, Registered};
 
 /// The entry in [`super::LAYOUTS`].
@@ -74,6 +76,8 @@ fn model_folder(dir: &Path, folders: &[&str]) -> Option<(PathBuf, bool)> {
 struct ImageRow {
     /// Its index, counted from 0.
     row: usize,
+    /// Its number in the model, which tracks of points name.
+    id: u32,
     name: String,
     quat: [f64; 4],
     translation: DVec3,
@@ -135,12 +139,15 @@ fn intrinsics(model: &str, size: [u64; 2], params: &[f64], place: &Place) -> Res
 /// # Errors
 /// See [`DataError`]; every error names file and row.
 fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
+    options.without_fps(LAYOUT.name)?;
     let root = Root::new(dir)?;
     let mut notes = Vec::new();
     let model = Model::read(dir, &MODEL_FOLDERS)?;
-    let (drafts, has_alpha) = model.drafts(&root, &IMAGE_FOLDERS, options, &mut notes)?;
+    let (drafts, has_alpha, ids) = model.drafts(&root, &IMAGE_FOLDERS, options, &mut notes)?;
     let settled = settle(drafts, options, None)?;
-    Ok(Dataset { points: model.points, ..settled.dataset(dir, LAYOUT.name, has_alpha, notes) })
+    let points =
+        model.points.map(|points| known(&points, &settled, &ids, &mut notes)).filter(|p| !p.positions.is_empty());
+    Ok(Dataset { points, ..settled.dataset(dir, LAYOUT.name, has_alpha, notes) })
 }
 
 /// Reads frames of one moving camera (Yoon et al. 2020, one camera of the rig per timestamp): image `k` of `n`, in order of
@@ -152,7 +159,7 @@ fn open_dense(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let root = Root::new(dir)?;
     let mut notes = Vec::new();
     let model = Model::read(dir, &DENSE_MODEL_FOLDERS)?;
-    let (drafts, has_alpha) = model.drafts(&root, &DENSE_IMAGE_FOLDERS, options, &mut notes)?;
+    let (drafts, has_alpha, ids) = model.drafts(&root, &DENSE_IMAGE_FOLDERS, options, &mut notes)?;
     let mut timed = options.clone();
     if timed.time_from == TimeFrom::File {
         let images = drafts.train.len() + drafts.test.len();
@@ -163,7 +170,31 @@ fn open_dense(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
         notes.push(format!("image k of {images}, in order of names, is at time k/{}", images.max(2) - 1));
     }
     let settled = settle(drafts, &timed, None)?;
-    Ok(Dataset { points: model.points, ..settled.dataset(dir, NVIDIA.name, has_alpha, notes) })
+    let points =
+        model.points.map(|points| known(&points, &settled, &ids, &mut notes)).filter(|p| !p.positions.is_empty());
+    Ok(Dataset { points, ..settled.dataset(dir, NVIDIA.name, has_alpha, notes) })
+}
+
+/// The points of a model, and of a sequence whose end is held out those alone that training images saw: a model is made of all images.
+fn known(
+    points: &SparsePoints,
+    settled: &Settled,
+    ids: &BTreeMap<PathBuf, u32>,
+    notes: &mut Vec<String>,
+) -> PointCloud {
+    if settled.extrapolate.is_empty() {
+        return points.cloud.clone();
+    }
+    let id = |view: &View| match &view.image {
+        ImageSource::File(path) => ids.get(path).copied(),
+        ImageSource::Memory(_) => None,
+    };
+    let known = points.seen_by(&settled.train.iter().filter_map(id).collect());
+    let (all, left_out) = (points.cloud.positions.len(), points.cloud.positions.len() - known.positions.len());
+    notes.push(format!(
+        "{left_out} of {all} points of the model are left out: no training image before data.time_boundary saw them"
+    ));
+    known
 }
 
 /// The points of the COLMAP model of a folder of any layout, where there is one.
@@ -173,7 +204,7 @@ fn open_dense(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
 pub(super) fn points_beside(dir: &Path) -> Result<Option<PointCloud>, DataError> {
     for folders in [&MODEL_FOLDERS[..], &DENSE_MODEL_FOLDERS] {
         if model_folder(dir, folders).is_some() {
-            return Ok(Model::read(dir, folders)?.points);
+            return Ok(Model::read(dir, folders)?.points.map(|points| points.cloud));
         }
     }
     Ok(None)
@@ -212,7 +243,7 @@ pub(crate) fn rig(dir: &Path) -> Result<Vec<RigCamera>, DataError> {
 struct Model {
     cameras: BTreeMap<u32, Intrinsics>,
     rows: Vec<ImageRow>,
-    points: Option<PointCloud>,
+    points: Option<SparsePoints>,
     images_file: PathBuf,
 }
 
@@ -247,23 +278,24 @@ impl Model {
         })
     }
 
-    /// The views, split, without times, and whether their images carry alpha.
+    /// The views, split, without times, whether their images carry alpha, and the number of the image of each file.
     fn drafts(
         &self,
         root: &Root,
         image_folders: &[&str],
         options: &DataOptions,
         notes: &mut Vec<String>,
-    ) -> Result<(Drafts, bool), DataError> {
+    ) -> Result<(Drafts, bool, BTreeMap<PathBuf, u32>), DataError> {
         let folder = image_folder(root, options, image_folders, "there is a COLMAP model, but no image folder")?;
         let listed = find_images(root, &self.images_file, &self.rows, &folder, notes)?;
         let listed = with_headers(&self.images_file, listed, options, notes)?;
         let has_alpha = listed.iter().any(|(_, h)| h.has_alpha);
+        let ids = listed.iter().map(|(l, _)| (l.path.clone(), l.rest.id)).collect();
         let drafts = split(self.listed(listed, options, notes)?, options, notes);
         if drafts.train.is_empty() {
             return Err(DataError::Empty { file: self.images_file.clone() });
         }
-        Ok((drafts, has_alpha))
+        Ok((drafts, has_alpha, ids))
     }
 
     /// The views of listed images.
@@ -348,19 +380,4 @@ fn split(drafts: Vec<Draft>, options: &DataOptions, notes: &mut Vec<String>) -> 
     let mut slots: Vec<Option<Draft>> = drafts.into_iter().map(Some).collect();
     let mut take = |list: Vec<usize>| list.into_iter().filter_map(|i| slots[i].take()).collect();
     Drafts { train: take(train), val: Vec::new(), test: take(test) }
-}
-
-/// A point of the cloud, checked.
-fn push_point(cloud: &mut PointCloud, p: [f64; 3], rgb: [u8; 3], file: &Path, row: usize) -> Result<(), DataError> {
-    if let Some(k) = p.iter().position(|v| !v.is_finite() || v.abs() > f64::from(f32::MAX)) {
-        return Err(DataError::Field {
-            place: Place::new(file, format!("points3D[{row}].{}", ["x", "y", "z"][k])),
-            value: p[k].to_string(),
-            why: "it must be a finite number",
-            fix: "remove the point from the model",
-        });
-    }
-    cloud.positions.push(DVec3::from(p).as_vec3());
-    cloud.colors.push(rgb.map(|c| f32::from(c) / 255.0));
-    Ok(())
 }

@@ -63,6 +63,6 @@ impl Reconstruction {
             Ok(Registered { name: row.name.clone(), camera_id: row.camera, camera, lens: intrinsics.lens })
         };
         let images = model.rows.iter().map(image).collect::<Result<_, DataError>>()?;
-        Ok(Self { images, points: model.points })
+        Ok(Self { images, points: model.points.map(|points| points.cloud) })
     }
 }

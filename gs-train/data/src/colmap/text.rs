@@ -6,11 +6,11 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use super::super::PointCloud;
 use super::super::error::{DataError, Place};
 use super::super::files::read_text;
 use super::super::intrinsics::Intrinsics;
-use super::{ImageRow, intrinsics, push_point};
+use super::points::SparsePoints;
+use super::{ImageRow, intrinsics};
 
 /// Largest file read.
 const MAX_BYTES: u64 = 1 << 30;
@@ -97,7 +97,7 @@ pub(super) fn images(file: &Path) -> Result<Vec<ImageRow>, DataError> {
         if line.fields.clone().next().is_none() {
             continue;
         }
-        let _id: u32 = line.parse("image id")?;
+        let id = line.parse("image id")?;
         let quat = line.f64s(["qw", "qx", "qy", "qz"])?;
         let translation = DVec3::from(line.f64s(["tx", "ty", "tz"])?);
         let camera = line.parse("camera id")?;
@@ -105,22 +105,25 @@ pub(super) fn images(file: &Path) -> Result<Vec<ImageRow>, DataError> {
         if name.is_empty() {
             line.word("name")?;
         }
-        rows.push(ImageRow { row: rows.len(), name, quat, translation, camera });
+        rows.push(ImageRow { row: rows.len(), id, name, quat, translation, camera });
         lines.next();
     }
     Ok(rows)
 }
 
-/// `points3D.txt`: id, position, colour, error, track (skipped).
-pub(super) fn points(file: &Path) -> Result<PointCloud, DataError> {
+/// `points3D.txt`: id, position, colour, error, track of pairs: image and its observation.
+pub(super) fn points(file: &Path) -> Result<SparsePoints, DataError> {
     let text = read_text(file, MAX_BYTES)?;
-    let count = records(file, &text).count();
-    let mut cloud = PointCloud { positions: Vec::with_capacity(count), colors: Vec::with_capacity(count) };
-    for (row, mut line) in records(file, &text).enumerate() {
+    let mut points = SparsePoints::with_capacity(records(file, &text).count());
+    for mut line in records(file, &text) {
         let _id: u64 = line.parse("point id")?;
         let p = line.f64s(["x", "y", "z"])?;
-        let rgb = [line.parse("red")?, line.parse("green")?, line.parse("blue")?];
-        push_point(&mut cloud, p, rgb, file, row)?;
+        points.push(p, [line.parse("red")?, line.parse("green")?, line.parse("blue")?], file)?;
+        let _error = line.fields.next();
+        while line.fields.clone().next().is_some() {
+            points.seen(line.parse("image of the track")?);
+            let _observation = line.fields.next();
+        }
     }
-    Ok(cloud)
+    Ok(points)
 }

@@ -97,6 +97,8 @@ impl List {
 /// # Errors
 /// See [`DataError`]; every error names file and field.
 fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
+    options.without_images(LAYOUT.name)?;
+    options.without_fps(LAYOUT.name)?;
     let root = Root::new(dir)?;
     let mut notes = Vec::new();
     let kind = Kind::of(dir).unwrap_or(if dir.join(kind::TRAIN).is_file() { Kind::Flat } else { Kind::Labelled });

@@ -379,10 +379,9 @@ fn colmap_images_numbered_anew_are_paired_in_order_and_only_then() {
 fn colmap_times_come_only_on_request() {
     let f = Folder::new(4, "png");
     f.colmap_text(&f.pinhole());
-    let with =
-        |time_from| f.open(&DataOptions { hold_out: 0, time_from, fps: Some(30.0), ..Default::default() }).unwrap();
-    assert!(!with(TimeFrom::File).dynamic);
-    let d = with(TimeFrom::Name);
+    let with = |time_from, fps| f.open(&DataOptions { hold_out: 0, time_from, fps, ..Default::default() }).unwrap();
+    assert!(!with(TimeFrom::File, None).dynamic);
+    let d = with(TimeFrom::Name, Some(30.0));
     assert_eq!((d.dynamic, d.train[3].time.normalised, d.train[3].time.seconds), (true, 1.0, 0.1));
     assert!(d.time_source.contains("30 frames per second"), "{}", d.time_source);
 }

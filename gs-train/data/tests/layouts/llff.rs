@@ -97,6 +97,19 @@ fn a_rig_of_videos_is_read() {
 }
 
 #[test]
+fn an_image_folder_of_cameras_that_was_asked_for_must_be_there() {
+    let dir = rig(2, 2, "/images_2");
+    let with =
+        |images: &str| Dataset::open(dir.path(), &DataOptions { images: Some(images.into()), ..Default::default() });
+    assert_eq!(with("images_2").unwrap().train.len(), 2);
+    let beside = rig(2, 2, "");
+    let o = DataOptions { images: Some("images_4".into()), ..Default::default() };
+    for e in [with("images_4").unwrap_err(), Dataset::open(beside.path(), &o).unwrap_err()] {
+        assert!(e.code() == "data.option" && e.to_string().contains("images_4"), "{e}");
+    }
+}
+
+#[test]
 fn videos_without_frames_name_the_command() {
     let dir = rig(3, 2, "/images");
     std::fs::remove_dir_all(dir.path().join("cam01")).unwrap();
