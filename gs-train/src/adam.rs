@@ -68,7 +68,7 @@ pub struct Refused {
     pub rows: u32,
     /// Rows in the block of that count.
     pub of: u32,
-    /// The first block and row refused.
+    /// The block of that count, and the first of these rows.
     pub first: Option<(String, u32)>,
     /// The first shared block with such a gradient, if any: the run cannot go on.
     pub shared: Option<String>,
@@ -208,12 +208,12 @@ impl Refused {
         if block.rows == 0 {
             return;
         }
-        if self.first.is_none() {
-            self.first = block.first.map(|row| (p.name.clone(), row));
-        }
         match p.row_count() {
             None => self.shared = self.shared.take().or_else(|| Some(p.name.clone())),
-            Some(count) if block.rows > self.rows => (self.rows, self.of) = (block.rows, count as u32),
+            Some(count) if block.rows > self.rows => {
+                (self.rows, self.of) = (block.rows, count as u32);
+                self.first = block.first.map(|row| (p.name.clone(), row));
+            }
             Some(_) => {}
         }
     }

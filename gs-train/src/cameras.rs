@@ -273,6 +273,12 @@ impl Cameras {
         self.known.iter().position(|known| Some(known.camera_id) == id).unwrap_or(row)
     }
 
+    /// The offset that was learnt for the clock of the cameras of this number, normalised time; none where none is learnt.
+    pub(crate) fn clock_offset(&self, camera_id: u32) -> Option<f32> {
+        let row = self.known.iter().position(|known| known.camera_id == camera_id && known.clock != 0.0)?;
+        Some(self.correction(row).time)
+    }
+
     /// The number of the correction for the camera of a view.
     pub fn row(&self, view: &View) -> Option<usize> {
         if self.is_empty() {
@@ -289,7 +295,7 @@ impl Cameras {
 
     /// Gives the cameras of training views that have no correction one of zero, where corrections are to be learnt. Turns are
     /// about the depth of the middle of the scene, at least half its extent away (both in world units).
-    pub(crate) fn meet(&mut self, views: &[View], middle: DVec3, extent: f32) {
+    pub(crate) fn add_missing(&mut self, views: &[View], middle: DVec3, extent: f32) {
         for view in views.iter().filter(|_| self.config.refine || self.config.time) {
             if self.row(view).is_none() {
                 let depth = view.camera.to_camera(middle).z.max(0.5 * f64::from(extent));

@@ -167,7 +167,7 @@ impl Canonical {
 
     /// Whether the rules may edit rows in the present step.
     fn edits(&self) -> bool {
-        self.densifies() && (self.rules.at_borders || !self.at.ends_stage)
+        self.rules.edits_at(self.at.clock, self.at.deform_only, self.at.ends_stage)
     }
 
     fn densifies(&self) -> bool {

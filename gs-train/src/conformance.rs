@@ -25,7 +25,7 @@ use crate::testkit::on_ranks;
 use crate::timestamp::Timestamp;
 use crate::trainer::{StepReport, TrainError, TrainOptions, Trainer};
 use gradients::{Rules, View};
-use gs_core::{Param, Params};
+use gs_core::Param;
 use gs_data::Dataset;
 use std::collections::BTreeSet;
 use std::sync::Arc;

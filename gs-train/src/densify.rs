@@ -179,6 +179,12 @@ impl DensifyRules {
         GrowthLimits { most: self.max_splats as usize, from: self.from, until: self.until }
     }
 
+    /// Whether rows may be edited and opacities reset in a step, by its clock, whether only the field learns in it, and whether it is
+    /// the last of its stage.
+    pub(crate) fn edits_at(&self, clock: u32, field_alone: bool, ends_stage: bool) -> bool {
+        clock < self.until && !field_alone && (self.at_borders || !ends_stage)
+    }
+
     /// Whether growth and pruning happen at this step.
     pub fn grows_at(&self, clock: u32) -> bool {
         clock > self.from && clock < self.until && clock.is_multiple_of(self.every)
@@ -326,7 +332,7 @@ impl Densify {
         plan.edit.append_from.extend(plan.children.iter().flat_map(|&p| [p, p]));
         match plan.edit.new_rows() {
             0 if rules.min_splats == 0 => keep_the_strongest(cloud),
-            left if left < rules.min_splats as usize => keep_all(n),
+            left if left < rules.min_splats as usize => plan.without_pruning(n),
             _ => plan,
         }
     }
@@ -371,9 +377,13 @@ fn place_child(cloud: &mut Cloud, row: usize, factor: f32, rng: &mut Rng) {
 }
 
 /// Every splat as it is.
-fn keep_all(n: usize) -> Plan {
-    let edit = RowEdit { keep: (0..n as u32).collect(), append_from: Vec::new() };
-    Plan { edit, ..Plan::default() }
+impl Plan {
+    /// The same growth of `n` splats, of which only those that are replaced by children go.
+    fn without_pruning(mut self, n: usize) -> Self {
+        self.edit.keep = (0..n as u32).filter(|row| self.children.binary_search(row).is_err()).collect();
+        self.stats = DensifyStats { pruned: 0, split: self.children.len() as u32, ..self.stats };
+        self
+    }
 }
 
 /// A scene is never pruned to nothing: the splat of highest opacity stays.
@@ -472,6 +482,18 @@ mod tests {
         };
         assert_eq!((run(1.2, 0), run(0.0, 0)), ((2, 2), (1, 3)));
         assert_eq!((run(1.2, 2), run(1.2, 3)), ((2, 2), (0, 4)));
+    }
+
+    #[test]
+    fn below_the_least_number_splats_grow_and_none_is_pruned() {
+        let mut c = cloud(&[0.001, 0.5, 0.001]);
+        c.logit_opacities.value[2] = logit(0.001);
+        let mut d = Densify::new(3);
+        d.accumulate(&seen(&[1e-4, 1e-4, 0.0]), 100, 100);
+        let rules = DensifyRules { min_splats: 1024, ..DensifyRules::kerbl2023() };
+        let did = d.densify(&rules, &AT, &mut c).unwrap();
+        assert_eq!(did, DensifyStats { cloned: 1, split: 1, pruned: 0, reset: false });
+        assert_eq!((c.len(), c.logit_opacities.value[1]), (5, logit(0.001)));
     }
 
     #[test]

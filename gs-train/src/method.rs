@@ -101,6 +101,8 @@ pub struct ViewCtx<'a> {
     pub at: Timestamp,
     /// The camera, at the size of the training image.
     pub camera: &'a Camera,
+    /// Which draw of the step this view is, from 0.
+    pub draw: u32,
     /// Whether this is the last view drawn for the step.
     pub last: bool,
 }

@@ -204,6 +204,25 @@ impl Model {
         Some((self.with(method), report))
     }
 
+    /// Calls `f` on every block: those of the method, then the corrections of cameras.
+    pub fn visit(&self, f: &mut dyn FnMut(&Param)) {
+        self.method.visit(f);
+        self.cameras.blocks().iter().for_each(f);
+    }
+
+    /// The same, to change them.
+    pub fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
+        self.method.visit_mut(f);
+        self.cameras.blocks_mut().iter_mut().for_each(f);
+    }
+
+    /// Number of values of all blocks.
+    pub fn param_count(&self) -> usize {
+        let mut count = 0;
+        self.visit(&mut |p| count += p.len());
+        count
+    }
+
     fn with(&self, method: Box<dyn Method>) -> Self {
         let (schedule, cameras) = (self.schedule.clone(), self.cameras.clone());
         let exposures = self.exposures.clone();
@@ -212,17 +231,13 @@ impl Model {
     }
 }
 
-/// The blocks of the method, then the corrections of cameras. Where [`Params`] is not imported, `model.visit` is that of the
-/// method alone.
 impl Params for Model {
     fn visit(&self, f: &mut dyn FnMut(&Param)) {
-        self.method.visit(f);
-        self.cameras.blocks().iter().for_each(f);
+        Self::visit(self, f);
     }
 
     fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
-        self.method.visit_mut(f);
-        self.cameras.blocks_mut().iter_mut().for_each(f);
+        Self::visit_mut(self, f);
     }
 }
 

@@ -12,7 +12,7 @@ use crate::model::Model;
 use crate::registry::Registry;
 use crate::scene::{MAX_PARAMETERS, SceneInfo};
 use glam::Vec3;
-use gs_core::{Param, Params};
+use gs_core::Param;
 use gs_data::PointCloud;
 use gs_data::avatar::AvatarScene;
 use serde::{Deserialize, Serialize};

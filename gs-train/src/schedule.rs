@@ -405,6 +405,8 @@ impl Schedule {
             for (part, v) in [("start", rate.start), ("end", rate.end)] {
                 need(v >= 0.0 && v.is_finite(), &format!("lr.{name}.{part}"), v.into(), "finite, not negative")?;
             }
+            let decays = rate.steps > 0 && rate.start > 0.0;
+            need(rate.end > 0.0 || !decays, &format!("lr.{name}.end"), 0.0, "above 0 (the decay is log-linear)")?;
             let eps = rate.eps;
             need((0.0..1.0).contains(&eps), &format!("lr.{name}.eps"), eps.into(), "0 or more, below 1")?;
             let decay = rate.weight_decay;

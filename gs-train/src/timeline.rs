@@ -48,23 +48,23 @@ impl Timeline {
         Ok(())
     }
 
-    /// Whether only the field learns in a step of the run, and rows stay as they are.
-    fn field_alone(&self, step: u32) -> bool {
-        let mut end = 0;
+    /// Whether rows may be edited in a step of the run, the one after `before` steps at `clock`.
+    fn edits(&self, rules: &DensifyRules, before: u32, clock: u32) -> bool {
+        let (step, mut end) = (before + clock, 0);
         let stage = ordered(&self.stages).into_iter().find(|(_, stage)| {
             end += stage.steps;
             step <= end
         });
-        stage.is_some_and(|(_, stage)| stage.field_alone)
+        stage.is_some_and(|(_, stage)| rules.edits_at(clock, stage.field_alone, step == end))
     }
 
     fn density(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Some(rules) = &self.density else { return Ok(()) };
         for Clock { begin, end } in self.clocks() {
-            let passes = (1..=end - begin + 1).filter(|&s| rules.grows_at(s) && !self.field_alone(s + begin - 1));
+            let edits = (1..=end - begin + 1).filter(|clock| self.edits(rules, begin - 1, *clock));
+            let passes = edits.clone().filter(|clock| rules.grows_at(*clock));
             let white = self.background == Background::White;
-            let resets = |&s: &u32| rules.resets_at(s, white) && !self.field_alone(s + begin - 1);
-            let resets = (1..=end - begin + 1).filter(resets).count();
+            let resets = edits.filter(|clock| rules.resets_at(*clock, white)).count();
             if let (Some(first), Some(last)) = (passes.clone().next(), passes.clone().next_back()) {
                 let [first, last] = [first, last].map(|s| s + begin - 1);
                 writeln!(
@@ -154,6 +154,11 @@ mod tests {
             learning rate field.all: 1e-3\n\
             learning rate field.planes: 1e-2\n";
         assert_eq!(text(&schedule), want);
+        schedule.density.until = 1001;
+        assert!(text(&schedule).contains("600 to 1000: 5 passes"));
+        schedule.density.at_borders = false;
+        assert!(text(&schedule).contains("600 to 900: 4 passes"), "the last step of a stage edits no rows");
+        schedule.density.until = 2000;
         schedule.stages.values_mut().filter(|stage| stage.dynamic).for_each(|stage| stage.field_alone = true);
         assert!(!text(&schedule).contains("14 passes"), "no rows are edited while only the field learns");
     }

@@ -16,7 +16,7 @@ use crate::registry::{Registry, section};
 use crate::saved;
 use crate::scene::{InitConfig, SceneInfo};
 use crate::schedule::{FIELD, Schedule};
-use gs_core::{Param, Params};
+use gs_core::Param;
 use gs_data::{Dataset, ImageCache};
 use serde::Serialize;
 use std::borrow::Cow;
@@ -140,7 +140,7 @@ impl Trainer {
     ) -> Result<Self, TrainError> {
         check_run(&model, &dataset)?;
         let middle = 0.5 * (scene.bounds[0] + scene.bounds[1]);
-        model.cameras_mut().meet(&dataset.train, middle.as_dvec3(), scene.extent);
+        model.cameras_mut().add_missing(&dataset.train, middle.as_dvec3(), scene.extent);
         if model.cameras().config().time && !model.cameras().has_clocks() {
             let why = "cameras.time is on, and no camera has training images of several times (the data tell cameras apart by \
                        their numbers: `camera_index` in nerfstudio's layout; D-NeRF's has none); set it false";

@@ -12,7 +12,7 @@
 
 use super::{Finding, Verdict, median};
 use glam::Vec3;
-use gs_core::{Params, Rng};
+use gs_core::Rng;
 use gs_data::{Dataset, View};
 use gs_train::densify::GrowthLimits;
 use gs_train::registry::Registry;
@@ -191,7 +191,7 @@ struct Size {
 impl Size {
     fn of(trainer: &Trainer) -> Self {
         let mut values = 0;
-        Params::visit(trainer.model(), &mut |p| values += p.value.len());
+        trainer.model().visit(&mut |p| values += p.value.len());
         Self { splats: trainer.model().splat_count(), values }
     }
 }

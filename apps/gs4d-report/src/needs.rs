@@ -7,7 +7,7 @@
 use crate::ReportRow;
 use crate::inspect::{INVISIBLE_OPACITY, bytes_text};
 use glam::{DMat3, DVec3, Vec3};
-use gs_core::{Camera, Color, Params, Splats, rot};
+use gs_core::{Camera, Color, Splats, rot};
 use gs_train::jumps::jumps;
 use gs_train::method::MethodError;
 use gs_train::model::Model;
@@ -58,7 +58,7 @@ pub fn needs(method: &Model, camera: &Camera, extent: f32) -> Result<Vec<ReportR
         let meaning = format!("their colour hardly depends on the view: degree 0 instead of {degree} would do");
         out.push(ReportRow::new("splats of plain colour", count(&plain), &meaning));
     }
-    out.push(ReportRow::new("storage in all", bytes_text(4 * Params::param_count(method)), "parameters as f32"));
+    out.push(ReportRow::new("storage in all", bytes_text(4 * method.param_count()), "parameters as f32"));
     Ok(out)
 }
 

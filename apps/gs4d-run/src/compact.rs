@@ -15,7 +15,7 @@
 
 use crate::RunError;
 use crate::kept::Kept;
-use gs_core::{Param, Params};
+use gs_core::Param;
 use gs_train::checkpoint::{Checkpoint, CheckpointError, Coding, Encoding};
 use gs_train::model::Model;
 use gs_train::saved::{self, Loaded, RunState};
@@ -136,7 +136,7 @@ impl CompactScene {
             tensors.push(CompactTensor { name, row_width: p.row_width, values, exact, lattice });
         };
         // Those of the method, and corrections of cameras, which are few and smaller than a step of 8 bits.
-        Params::visit(method, &mut |p| push(p, p.name.starts_with(CORRECTIONS)));
+        method.visit(&mut |p| push(p, p.name.starts_with(CORRECTIONS)));
         method.buffers(&mut |buffer| {
             if buffer.row_width.is_none() {
                 let (name, values) = (buffer.name.to_owned(), buffer.values.clone());

@@ -158,6 +158,12 @@ impl Gpu {
         &self.inner.queue
     }
 
+    /// Bytes of the largest [`Array`](crate::Array) that the device allows.
+    pub fn largest_array(&self) -> u64 {
+        let limits = self.device().limits();
+        limits.max_storage_buffer_binding_size.min(limits.max_buffer_size)
+    }
+
     /// The compiled kernels, compiled at the first call.
     pub(crate) fn kernels(&self, with_profile: bool) -> &Kernels {
         let native = *self.inner.native_exp2.get_or_init(|| crate::probe::exp2_is_accurate(self));

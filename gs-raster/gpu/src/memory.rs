@@ -31,8 +31,7 @@ impl Array {
             self.bytes = bytes;
             return Ok(());
         }
-        let limits = gpu.device().limits();
-        let allowed = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+        let allowed = gpu.largest_array();
         if bytes > allowed {
             let (need, allowed) = (bytes.div_ceil(1 << 20), allowed >> 20);
             return Err(GpuError::TooLarge { what: self.what, need, allowed, adapter: gpu.name().to_owned() });

@@ -6,7 +6,7 @@ use crate::pass::At;
 use crate::plane_field::{self, PlaneField};
 use crate::planes::MOST_LEVELS;
 use crate::store::Store;
-use gs_core::Time;
+use gs_core::{Param, Params, Time};
 use gs_deform::apply::{Apply, QuatRule, ScaleRule};
 use gs_deform::{DefMlp, HexPlaneField};
 use gs_gpu::{Array, Gpu, GpuError};
@@ -45,6 +45,13 @@ impl<'a> Known<'a> {
     pub(crate) fn rules(self) -> u32 {
         let Apply { scale, quat, .. } = self.rule();
         u32::from(scale == ScaleRule::Add) + 2 * u32::from(quat == QuatRule::Unit)
+    }
+
+    pub(crate) fn visit(self, f: &mut dyn FnMut(&Param)) {
+        match self {
+            Known::Planes(field) => field.visit(f),
+            Known::Network(field) => field.visit(f),
+        }
     }
 
     /// What of the field the device cannot compute, in words.

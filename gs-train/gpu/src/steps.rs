@@ -5,7 +5,7 @@ use crate::images::Images;
 use crate::kernels::Kernels;
 use crate::loss::{ImageLoss, View};
 use crate::pass::At;
-use crate::store::Store;
+use crate::store::{Store, largest_array};
 use crate::uniforms::Uniforms;
 use gs_core::cast::to_u32;
 use gs_core::sh;
@@ -307,10 +307,17 @@ impl DeviceSteps for Steps {
         if cloud.cloud.kernel.is_some() {
             return Some("splats have a kernel of their own".to_owned());
         }
-        match Known::of(cloud.field?) {
-            Some(field) => field.lacks(),
-            None => Some("the field is neither that of 4DGS nor that of Deformable 3D Gaussians".to_owned()),
+        let field = cloud.field.map(Known::of);
+        if let Some(None) = field {
+            return Some("the field is neither that of 4DGS nor that of Deformable 3D Gaussians".to_owned());
         }
+        let field = field.flatten();
+        let (need, allowed) = (largest_array(cloud.cloud, field), self.gpu.largest_array());
+        if need > allowed {
+            let [need, allowed] = [need.div_ceil(1 << 20), allowed >> 20];
+            return Some(format!("its moments take {need} MiB in one buffer, and the device allows {allowed}"));
+        }
+        field.and_then(Known::lacks)
     }
 
     fn load(&mut self, method: &dyn Method) -> Result<(), DeviceError> {

@@ -1,9 +1,11 @@
 //! The state of a run on the device: parameters, moments of the optimiser, gradients, statistics of densification.
 
+use crate::field::Known;
 use crate::kernels::Kernels;
 use crate::uniforms::Uniforms;
 use bytemuck::{Pod, Zeroable};
 use gs_core::cast::to_u32;
+use gs_core::{Cloud, Param, Params};
 use gs_gpu::{Array, Gpu, GpuError, Readback, groups};
 use gs_train::adam::Factors;
 use gs_train::device::DeviceLoss;
@@ -54,6 +56,17 @@ struct BlockUpdate {
     learns: u32,
     start: u32,
     width: u32,
+}
+
+/// Bytes of the largest array of a state: the moments of these values.
+pub(crate) fn largest_array(cloud: &Cloud, field: Option<Known<'_>>) -> u64 {
+    let mut values = 0;
+    let mut add = |p: &Param| values += p.len().next_multiple_of(GROUP) as u64;
+    cloud.visit(&mut add);
+    if let Some(field) = field {
+        field.visit(&mut add);
+    }
+    2 * BYTES * values
 }
 
 impl Store {

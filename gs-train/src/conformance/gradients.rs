@@ -59,7 +59,6 @@ pub use view::View;
 
 use crate::model::Model;
 use block::{Block, norm, spread};
-use gs_core::Params;
 
 /// Evaluations of the functional that its rounding is estimated from.
 pub const POINTS: usize = 17;

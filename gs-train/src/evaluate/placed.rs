@@ -103,11 +103,13 @@ pub fn place(
     let placed = share.each(groups.len(), |group| {
         let members = &groups[group].1;
         let first = members.first().map(|k| views[*k].time);
-        let clock = if members.iter().any(|k| Some(views[*k].time) != first) { seconds } else { 0.0 };
+        let time = cameras.clock_offset(groups[group].0.camera_id);
+        let several = members.iter().any(|k| Some(views[*k].time) != first);
+        let clock = if several || time.is_some() { seconds } else { 0.0 };
         let step = members.len().div_ceil(VIEWS);
         let seen: Vec<&View> = members.iter().step_by(step).map(|k| &views[*k]).collect();
         let options = model.raster_options(background);
-        Placing { splats, images, options, learnt: &learnt, clock }.of(&seen)
+        Placing { splats, images, options, learnt: &learnt, clock, time }.of(&seen)
     })?;
     for ((_, members), correction) in groups.iter().zip(placed) {
         members.iter().for_each(|k| found[*k] = Some(correction));
@@ -124,6 +126,8 @@ struct Placing<'a> {
     learnt: &'a [Correction],
     /// [`KnownCamera::clock`].
     clock: f64,
+    /// The offset of the camera's clock where training views of the same camera have told it; it stays as it is.
+    time: Option<f32>,
 }
 
 /// A view of a camera: its camera in the data, the splats at its time, its image and where that counts.
@@ -148,7 +152,8 @@ impl Placing<'_> {
         let mut own = Cameras::new(CameraConfig::default(), vec![known]);
         let learnt = |what: fn(&Correction) -> bool| self.learnt.iter().any(what);
         let poses = learnt(|c| (c.turn, c.shift) != Default::default());
-        let (focal, learns_time) = (learnt(|c| c.focal != 0.0), self.clock != 0.0 && learnt(|c| c.time != 0.0));
+        let focal = learnt(|c| c.focal != 0.0);
+        let learns_time = self.clock != 0.0 && self.time.is_none() && learnt(|c| c.time != 0.0);
         let falling =
             |[first, last]: [f64; 2], step| first * (last / first).powf(f64::from(step) / f64::from(STEPS - 1));
         let mut adam = Adam::default();
@@ -178,16 +183,18 @@ impl Placing<'_> {
                 adam.update(block, update, &mut Refused::default());
             }
         }
-        Ok(own.correction(0))
+        let found = own.correction(0);
+        Ok(Correction { time: self.time.unwrap_or(found.time), ..found })
     }
 
     fn see(&self, view: &View) -> Result<Seen, EvalError> {
         let camera = self.images.camera(view);
-        let at = Timestamp::new(view.time);
+        let at = Timestamp::new(clocks::moved(view.time, self.time.unwrap_or(0.0), self.clock));
         let splats = (self.splats)(&at, &camera);
         let splats = splats.map_err(|e| EvalError::Method { view: view.name.clone(), source: Box::new(e) })?;
         let truth = self.images.get(view)?.over(self.options.background);
-        Ok(Seen { camera, at, splats, truth, mask: self.images.mask(view)? })
+        let mask = if view.mask_loss { self.images.mask(view)? } else { None };
+        Ok(Seen { camera, at, splats, truth, mask })
     }
 }
 

@@ -160,7 +160,7 @@ impl Exposures {
     }
 
     /// Another map was fitted to an image, of so many. Of another number than before, all are fitted anew.
-    pub(crate) fn see(&mut self, image: usize, map: &ColorMap, images: usize) {
+    pub(crate) fn blend_in(&mut self, image: usize, map: &ColorMap, images: usize) {
         if self.0.len() != images {
             self.0 = vec![rows_of(&ColorMap::IDENTITY); images];
         }
@@ -338,7 +338,7 @@ mod tests {
         let mut exposures = Exposures::default();
         for k in 0..30 {
             let map = ColorMap { matrix: [[1.6, 0.1, 0.0], [0.0, 1.2, 0.1], [0.1, 0.0, 0.5]] };
-            exposures.see(k % 4, &map.blend(&ColorMap::IDENTITY, 0.2 * (k % 3) as f64), 4);
+            exposures.blend_in(k % 4, &map.blend(&ColorMap::IDENTITY, 0.2 * (k % 3) as f64), 4);
             for (row, c) in (0..9).map(|k| (k / 3, k % 3)) {
                 let mean = (0..4).map(|image| exposures.map(image).matrix[row][c]).sum::<f64>() / 4.0;
                 assert!((mean - ColorMap::IDENTITY.matrix[row][c]).abs() < 1e-6, "{mean}");
@@ -356,7 +356,7 @@ mod tests {
             gains([gain, gain, 2.0 - gain])
         };
         let mut exposures = Exposures::default();
-        (0..120).for_each(|k| exposures.see(k % 4, &of(k % 4), 4));
+        (0..120).for_each(|k| exposures.blend_in(k % 4, &of(k % 4), 4));
         for image in 0..4 {
             let pairs = exposures
                 .map(image)

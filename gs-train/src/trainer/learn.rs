@@ -80,7 +80,7 @@ impl Trainer {
         self.check_views(&seen, &views)?;
         for (view, index) in seen.iter().zip(&views.indices) {
             if let Some(map) = view.terms.color_map {
-                self.model.exposures_mut().see(*index, &map, dataset.train.len());
+                self.model.exposures_mut().blend_in(*index, &map, dataset.train.len());
             }
         }
         let (sum, own) = match ranks {
@@ -153,6 +153,7 @@ impl Trainer {
         let (draw, view) = views.drawn[leaf];
         let schedule = self.model.schedule();
         let background = schedule.background.color(self.options.seed, draw);
+        let of_step = (draw - 1) % schedule.batch;
         let given = self.images.camera(view);
         let row = self.model.cameras().row(view);
         let correction = row.map(|row| self.model.cameras().correction(row)).unwrap_or_default();
@@ -171,8 +172,8 @@ impl Trainer {
             result: ViewLoss::default(),
             data_error: None,
         };
-        let last = leaf == views.last();
-        let terms = self.model.step(&ViewCtx { at, camera: &camera, last }, &mut pass);
+        let terms =
+            self.model.step(&ViewCtx { at, camera: &camera, draw: of_step, last: leaf == views.last() }, &mut pass);
         let ViewPass { mut result, data_error, camera_grad, motion_grad, .. } = pass;
         if let Some(e) = data_error {
             return Err(e.into());

@@ -104,7 +104,7 @@ impl Trainer {
             return Err(why);
         }
         let camera = &view.camera;
-        let ctx = ViewCtx { at: Timestamp::new(view.time), camera, last: true };
+        let ctx = ViewCtx { at: Timestamp::new(view.time), camera, draw: 0, last: true };
         Ok((view, self.model.moved_cloud(&ctx)?))
     }
 
@@ -197,8 +197,8 @@ impl DeviceLoss {
 
     /// What Adam refused.
     fn refused(&self, splats: usize) -> Refused {
-        let rows = self.refused_rows.iter().map(|(_, rows, _)| *rows).max().unwrap_or(0);
-        let first = self.refused_rows.first().map(|(name, _, row)| (name.clone(), *row));
+        let most = self.refused_rows.iter().rev().max_by_key(|(_, rows, _)| *rows);
+        let (rows, first) = most.map_or((0, None), |(name, rows, row)| (*rows, Some((name.clone(), *row))));
         Refused { rows, of: cast::to_u32(splats), first, shared: self.refused_shared.clone() }
     }
 }

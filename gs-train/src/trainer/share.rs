@@ -8,7 +8,7 @@ use crate::adam::{Refused, RefusedRows};
 use crate::method::Merge;
 use crate::model::Model;
 use crate::ranks::all_gather;
-use gs_core::{Param, Params};
+use gs_core::Param;
 
 /// Columns that every rank holds, and of which one run is right on each.
 #[derive(Clone, Copy)]

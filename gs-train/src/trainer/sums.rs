@@ -2,7 +2,6 @@
 
 use crate::method::Merge;
 use crate::model::Model;
-use gs_core::Params;
 use rayon::prelude::*;
 use std::ops::Range;
 

@@ -6,7 +6,6 @@ use crate::error::RanksError;
 use crate::evaluate::{EvalError, EvalReport, Scoring, evaluate_with_future};
 use crate::ranks::{Ranks, Share, ShareError, all_gather, alone};
 use crate::registry::Registry;
-use gs_core::Params;
 use gs_data::{Dataset, ImageCache, Split};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};

@@ -1,7 +1,7 @@
 //! Training cameras that are not quite right: corrections are found, and are state like any other.
 
 use glam::{DQuat, DVec3};
-use gs_core::{Camera, Params, Rng};
+use gs_core::{Camera, Rng};
 use gs_data::{Dataset, ImageCache, Split};
 use gs_physics::kabsch::kabsch;
 use gs_synth::SynthOptions;

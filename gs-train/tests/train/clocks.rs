@@ -136,6 +136,27 @@ fn offsets_are_the_same_bits_for_any_threads_and_ranks_and_after_a_resume() {
 }
 
 #[test]
+fn held_out_images_of_a_moving_camera_have_the_clock_of_its_film() {
+    let options = SynthOptions { size: 32, cameras: 3, held_out: 1, moments: 5, ..SynthOptions::default() };
+    let mut data = Dataset::clone(&disturbed(&films("balls", options), &offsets(3, 0.05, 1)));
+    for (k, view) in data.train.iter_mut().enumerate() {
+        view.camera.translation.x += 1e-3 * k as f64;
+    }
+    data.test.iter_mut().for_each(|view| view.camera_id = 1);
+    let data = Arc::new(data);
+    let registry = gs_methods::registry();
+    let config = gs_train::testkit::short(registry, "fourdgs", &[TIME, "schedule.batch = 3"]);
+    let mut trainer = start(registry, &data, "fourdgs", &config, 3);
+    run(&mut trainer, 40);
+    let film = data.train.iter().find(|view| view.camera_id == 1).expect("a view");
+    let learnt = trainer.model().cameras().of(film).expect("a correction").time;
+    let images = ImageCache::new(1 << 20, 1.0);
+    let scores = evaluate(trainer.model(), &data, Split::Test, [0.0; 3], &images).expect("scores");
+    let placed: Vec<_> = scores.views.iter().map(|v| v.camera.map(|c| c.time)).collect();
+    assert!(learnt != 0.0 && placed.iter().all(|time| *time == Some(learnt)), "{learnt}: {placed:?}");
+}
+
+#[test]
 fn images_of_one_time_have_no_clock() {
     let options = SynthOptions { size: 16, train_views: 4, test_views: 1, ..SynthOptions::default() };
     let data = Arc::new(gs_synth::generate("balls", &options).expect("scene").dataset);

@@ -1,6 +1,5 @@
 //! Frames rendered on another device than the CPU: a fake one, which counts its calls and fails on demand.
 
-use gs_core::Params;
 use gs_data::{Dataset, ImageCache, ImageU8, Split};
 use gs_raster::DeviceError;
 use gs_synth::SynthOptions;

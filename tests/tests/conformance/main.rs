@@ -16,7 +16,7 @@ mod outside_method;
 mod spacetime;
 mod stop_gradients;
 
-use gs_core::{Param, Params, Rng};
+use gs_core::{Param, Rng};
 use gs_data::Dataset;
 use gs_synth::SynthOptions;
 use gs_synth::testkit::{dataset, film};

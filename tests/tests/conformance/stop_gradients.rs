@@ -1,6 +1,6 @@
 //! Functionals for methods that leave a path out of their gradient on purpose: they leave it out as well.
 
-use gs_core::{Params, Splats, rot};
+use gs_core::{Splats, rot};
 use gs_raster::reference::Scene;
 use gs_train::conformance::gradients::View;
 use gs_train::model::Model;

@@ -1,7 +1,6 @@
 //! Domains of settings, and sizes that are known before anything is built.
 
 use crate::support::*;
-use gs_core::Params;
 use gs_data::Dataset;
 use gs_train::domains::{Domain, domain};
 use gs_train::error::MethodError;

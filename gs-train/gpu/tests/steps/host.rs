@@ -139,3 +139,14 @@ fn what_a_device_cannot_make_the_host_makes() {
         after(trainer, 2);
     }
 }
+
+#[test]
+fn a_state_too_large_for_a_buffer_stays_on_the_host() {
+    let Some(gpu) = gpu() else { return };
+    let many =
+        "init = { from = \"random\", points = 300000 }\ncloud.sh_degree = 3\nschedule.density.max_splats = 300000";
+    let trainer = start("static3d", &[many]).on(&gs_train_gpu::device(&gpu)).expect("a device");
+    let why = trainer.device_lacks().expect("a reason");
+    assert!(why.starts_with("its moments take 136 MiB in one buffer, and the device allows 128"), "{why}");
+    after(trainer, 1);
+}

@@ -77,7 +77,7 @@ fn the_local_stage_starts_from_the_global_fit() {
     method.begin_step(31);
     assert!(method.schedule().dynamic(31) && !method.schedule().dynamic(30));
     let mut kept = Kept::default();
-    method.step(&ViewCtx { at: at(0.7), camera: &camera, last: true }, &mut kept).expect("step");
+    method.step(&ViewCtx { at: at(0.7), camera: &camera, draw: 0, last: true }, &mut kept).expect("step");
     assert!(!global.is_empty());
     assert_eq!(kept.splats, global, "bit for bit");
 }

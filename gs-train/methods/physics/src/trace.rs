@@ -105,7 +105,7 @@ impl<F> Config<F> {
                 c.physics.field = false;
                 c.schedule.stages.values_mut().for_each(|stage| stage.field_alone = false);
             }),
-            ("physics", |c| c.law.form = LawForm::Free),
+            ("physics", |c| (c.law.form, c.physics.refit) = (LawForm::Free, false)),
             ("equivalent", |c| {
                 // The gain counts for velocities; it would multiply the centre, too.
                 (c.law.form, c.law.gain) = (LawForm::Centre15, 1.0);

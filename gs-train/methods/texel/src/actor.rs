@@ -61,7 +61,7 @@ pub enum FrameError {
     #[error(
         "no conditioning camera sees any texel of it; check that cameras and masks are those of its images, and scale a template that is not in metres, together with its cameras"
     )]
-    InpaintMethod,
+    Unseen,
     /// Its points have no colours.
     #[error(
         "its points have no colours; make the data with coloured points (PLY with red, green, blue), or set surface.color = 0"
@@ -512,7 +512,7 @@ impl Mean {
         let mut colors: Vec<[f32; 3]> = self.sums.iter().zip(&self.counts).map(mean).collect();
         let known: Vec<bool> = self.counts.iter().map(|n| *n > 0.0).collect();
         if !known.contains(&true) {
-            return Err(FrameError::InpaintMethod);
+            return Err(FrameError::Unseen);
         }
         inpaint(table, &mut colors, &known, InpaintMethod::Nearest)?;
         Ok(colors)

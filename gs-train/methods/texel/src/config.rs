@@ -66,7 +66,7 @@ pub struct GaussianConfig {
     pub reg: f32,
 }
 
-/// Values of the texels' own.
+/// What colours that are learnt without a network are made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum DirectColor {
@@ -292,7 +292,6 @@ pub enum Phase {
     Main,
 }
 
-/// Names of the stages, in their order.
 /// Domains of the method's settings.
 pub(crate) const DOMAINS: &[Domain] = &[
     within("cache_mib", 0.0, 1_048_576.0),

@@ -2,7 +2,7 @@
 
 use super::{BlockGradient, CONTRAST, Functional, Kind, MAX_DISPLACEMENT, MIN_DISPLACEMENT, POINTS, ROUNDS, Rules};
 use crate::model::Model;
-use gs_core::{Params, Rng};
+use gs_core::Rng;
 
 /// A block under test, with the values it started from.
 pub(super) struct Block<'a, 'f> {

@@ -4,7 +4,7 @@ use super::{BlockGradient, gradients};
 use crate::method::{LossValue, MethodError, RenderView, ViewCtx};
 use crate::model::Model;
 use crate::timestamp::Timestamp;
-use gs_core::{Camera, Params, Rng, Splats, SplatsGrad, SplatsRef};
+use gs_core::{Camera, Rng, Splats, SplatsGrad, SplatsRef};
 use gs_raster::reference::{self, Cutoff, Scene};
 use gs_raster::{ClampGrad, FrameGrad, RasterOptions, ScreenStats, Workspace, render, render_backward};
 
@@ -80,7 +80,7 @@ impl View {
 
     fn step(&self, model: &mut Model, render: &mut dyn RenderView) -> Result<Vec<LossValue>, MethodError> {
         model.begin_step(self.step);
-        model.step(&ViewCtx { at: self.at, camera: &self.camera, last: false }, render)
+        model.step(&ViewCtx { at: self.at, camera: &self.camera, draw: 0, last: false }, render)
     }
 }
 

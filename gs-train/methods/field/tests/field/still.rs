@@ -1,6 +1,6 @@
 //! Splats left at rest in rendering: within their tolerance, until a parameter changes.
 
-use gs_core::{Camera, Params, Splats, Time};
+use gs_core::{Camera, Splats, Time};
 use gs_method_field::METHODS;
 use gs_synth::testkit::scene;
 use gs_train::capabilities::FreezeOptions;

@@ -14,17 +14,17 @@ use gs_train::capabilities::RigidBody;
 
 /// What a forecast may leave out.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Thrift {
+pub(super) struct Tolerance {
     /// When a simpler motion serves.
     pub rule: ClassRule,
     /// Most bodies whose splats share one motion; 0: every splat follows its own.
     pub bodies: usize,
 }
 
-impl Thrift {
+impl Tolerance {
     /// Particles that take no steps where they need none. Integrators that are not rigid keep theirs: what was learnt makes
     /// up for their errors.
-    fn spare(
+    fn reduced(
         self,
         particles: Extrapolator,
         begin: &Geometry,
@@ -70,7 +70,7 @@ impl Future {
         middle: Vec3,
         tracks: Option<&Tracks>,
         dynamics: &D,
-        thrift: Thrift,
+        tolerance: Tolerance,
     ) -> Self {
         let mut bodies = Bodies::default();
         let particles = dynamics.motion_rollout().and_then(|rollout| {
@@ -81,7 +81,7 @@ impl Future {
             }
             let still = vec![[1.0, 0.0, 0.0, 0.0]; begin.len()];
             let all = Extrapolator::new(rollout, from, motions, begin.means.clone(), still).ok()?;
-            thrift.spare(all, &begin, opacities, rollout.rule, rollout.origin)
+            tolerance.reduced(all, &begin, opacities, rollout.rule, rollout.origin)
         });
         Self { begin, from, middle, particles, bodies }
     }
@@ -159,14 +159,14 @@ mod tests {
         Law::new(&config, Vec3::ZERO, 0.05, 1).unwrap()
     }
 
-    fn thrift(tolerance: f64, bodies: usize) -> Thrift {
-        Thrift { rule: ClassRule { tolerance, horizon: 1.0 - FROM }, bodies }
+    fn tolerance(tolerance: f64, bodies: usize) -> Tolerance {
+        Tolerance { rule: ClassRule { tolerance, horizon: 1.0 - FROM }, bodies }
     }
 
     /// How far splats are from where the law carries them, and how many need their steps.
-    fn off(law: &Law, thrift: Thrift) -> (f32, usize) {
+    fn off(law: &Law, tolerance: Tolerance) -> (f32, usize) {
         let (mut worst, start) = (0.0f32, begin());
-        let mut future = Future::new(begin(), &[0.8; 300], FROM, Vec3::ZERO, None, law, thrift);
+        let mut future = Future::new(begin(), &[0.8; 300], FROM, Vec3::ZERO, None, law, tolerance);
         for t in [0.95, 0.72, 0.6] {
             let mut moves = ParticleState::default();
             let from = Start { x: &start.means, t: FROM, middle: Vec3::ZERO };
@@ -180,13 +180,13 @@ mod tests {
     #[test]
     fn what_is_left_out_stays_within_the_tolerance() {
         let second = law(2, Integrator::Se3Mid);
-        assert_eq!(off(&second, thrift(0.0, 0)), (0.0, 300), "nothing is left out unasked");
-        let (exact, stepped) = off(&law(1, Integrator::Se3Mid), thrift(0.0, 0));
+        assert_eq!(off(&second, tolerance(0.0, 0)), (0.0, 300), "nothing is left out unasked");
+        let (exact, stepped) = off(&law(1, Integrator::Se3Mid), tolerance(0.0, 0));
         assert!(exact < 1e-5 && stepped == 0, "constant twists are one exponential: {exact} {stepped}");
         for bodies in [0, 6] {
-            let (far, stepped) = off(&second, thrift(0.03, bodies));
+            let (far, stepped) = off(&second, tolerance(0.03, bodies));
             assert!(far > 0.0 && far < 0.03 + 1e-4 && stepped < 300, "{bodies}: {far} {stepped}");
         }
-        assert_eq!(off(&law(2, Integrator::Rk2), thrift(0.03, 6)), (0.0, 300), "what is not rigid keeps its steps");
+        assert_eq!(off(&law(2, Integrator::Rk2), tolerance(0.03, 6)), (0.0, 300), "what is not rigid keeps its steps");
     }
 }

@@ -15,17 +15,13 @@
 //! of its own only ([`Stage::field_alone`](gs_train::schedule::Stage::field_alone)), where it moves splats by itself.
 
 use glam::{DVec3, Vec3};
-use gs_core::{Camera, Color, Geometry, GeometryRef, Param, Params, Rng, Splats, SplatsGrad, Time, cast, rot};
+use gs_core::{Camera, Color, Geometry, GeometryRef, Param, Params, Splats, SplatsGrad, Time, cast, rot};
 use gs_deform::Field;
 use gs_physics::classes::ClassRule;
-use gs_physics::refit::Tracks;
-use gs_physics::{Dynamics, Motion, ParticleState, Start};
+use gs_physics::{Dynamics, ParticleState, Start};
 use gs_raster::ScreenStats;
 use gs_train::canonical::Canonical;
-use gs_train::capabilities::{
-    Capabilities, Inspect, Overlay, ParticleSource, Particles, Quantity, RigidBody, StageView,
-};
-use gs_train::kernel::kernel_quantities;
+use gs_train::capabilities::Capabilities;
 use gs_train::method::{Buffer, BufferMut, Buffers, LossValue, Method, MethodError, RenderView, StepEvents, ViewCtx};
 use gs_train::scene::SceneInfo;
 use gs_train::step::StepCtx;
@@ -36,40 +32,17 @@ mod colours;
 mod config;
 mod future;
 mod overlays;
+mod spans;
 #[cfg(test)]
 mod tests;
+mod tracks;
 
 pub use config::{Inside, PhysicsConfig};
-use future::{Future, Thrift};
+use future::{Future, Tolerance};
+use spans::{Span, Times};
 
-/// Farthest that dynamics carry splats, in steps Δt: at timestamps beyond, the scene stands as it is there.
-const FARTHEST: f64 = 4096.0;
-/// Most frames before `T_def` that paths of bodies are refitted to.
-const TRACKED: usize = 40;
 /// How far a splat goes before it tells what moves, of the extent of the scene.
 const LITTLE: f32 = 0.01;
-
-/// The times a scene is divided by, normalised.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Times {
-    /// Δt.
-    step: f64,
-    /// Last time the field is read at.
-    last_field: f64,
-    /// Last training time.
-    last: f64,
-    /// Before this only the field moves splats.
-    start: f64,
-}
-
-impl Times {
-    fn new(config: &PhysicsConfig, scene: &SceneInfo) -> Self {
-        let step = config.step(scene);
-        let back = step.max(f64::from(config.back_frames) * step / f64::from(config.step_frames));
-        let last = f64::from(scene.last_time);
-        Self { step, last_field: (last - back).max(0.0), last, start: f64::from(config.start) * last }
-    }
-}
 
 /// A cloud under a field and dynamics.
 pub struct Advected<F: Field, D: Dynamics> {
@@ -79,7 +52,7 @@ pub struct Advected<F: Field, D: Dynamics> {
     config: PhysicsConfig,
     times: Times,
     /// What forecasts may leave out.
-    thrift: Thrift,
+    tolerance: Tolerance,
     /// Splats that moved less than this hardly say where the middle of what moves is, world units.
     little: f32,
     scratch: Scratch<F, D>,
@@ -111,13 +84,6 @@ impl<F: Field, D: Dynamics> Default for Scratch<F, D> {
     }
 }
 
-/// The two times of a transport.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Span {
-    from: f64,
-    to: f64,
-}
-
 impl<F: Field, D: Dynamics> Advected<F, D> {
     /// A cloud with its field and its dynamics.
     ///
@@ -133,79 +99,14 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
         config.check()?;
         let (times, scratch, future) = (Times::new(&config, scene), Scratch::default(), Mutex::new(None));
         let little = LITTLE * scene.extent;
-        let thrift = Thrift {
+        let tolerance = Tolerance {
             rule: ClassRule {
                 tolerance: f64::from(config.slack * scene.extent),
                 horizon: (1.0 - if config.field { times.last_field } else { 0.0 }).max(times.step),
             },
             bodies: config.bodies as usize,
         };
-        Ok(Self { canonical, field, dynamics, config, times, thrift, little, scratch, future })
-    }
-
-    /// From where to where the dynamics act in training for an image at time `t`.
-    fn training_span(&self, t: f64) -> Span {
-        let Times { step, last_field, start, .. } = self.times;
-        if !self.config.field {
-            return Span { from: 0.0, to: t };
-        }
-        if self.canonical.at.deform_only {
-            return Span { from: t, to: t };
-        }
-        if t > last_field {
-            return Span { from: last_field, to: t };
-        }
-        if t < step.max(start) {
-            return Span { from: t, to: t };
-        }
-        let mut rng = Rng::new(self.canonical.seed(), "side-of-time", self.canonical.at.step, 0);
-        let forward = rng.uniform() < 0.5;
-        if rng.uniform() < self.config.direct {
-            return Span { from: t, to: t };
-        }
-        if self.settles(t) {
-            return Span { from: last_field, to: t };
-        }
-        let steps = 1.0 + (f64::from(rng.uniform()) * self.reach()).floor();
-        let from = if forward { t - steps * step } else { t + steps * step };
-        Span { from: from.clamp(start, last_field), to: t }
-    }
-
-    /// Steps Δt that the dynamics carry splats at most in the present step of training.
-    fn reach(&self) -> f64 {
-        1.0 + self.stage_share() * f64::from(self.config.reach - 1)
-    }
-
-    /// Whether the dynamics set out from `T_def` for an image at time `t` in the present step.
-    fn settles(&self, t: f64) -> bool {
-        let (Times { last_field, .. }, PhysicsConfig { settle, settle_frames, .. }) = (self.times, self.config);
-        let near = settle_frames == 0.0 || last_field - t <= f64::from(settle_frames) * self.frame() + 1e-9;
-        near && settle > 0.0 && self.stage_share() >= 1.0 - f64::from(settle)
-    }
-
-    /// Share of the present stage that is over.
-    fn stage_share(&self) -> f64 {
-        let at = &self.canonical.at;
-        if at.stage_steps == 0 { 1.0 } else { f64::from(at.stage_offset) / f64::from(at.stage_steps) }
-    }
-
-    /// The interval between frames, normalised.
-    fn frame(&self) -> f64 {
-        self.times.step / f64::from(self.config.step_frames)
-    }
-
-    /// From where to where the dynamics act in rendering.
-    fn render_span(&self, t: f64) -> Span {
-        let Times { step, last_field, start, .. } = self.times;
-        let t = t.clamp(-FARTHEST * step, last_field + FARTHEST * step);
-        match self.config.inside {
-            _ if !self.config.field => Span { from: 0.0, to: t },
-            _ if t > last_field => Span { from: last_field, to: t },
-            _ if t < 0.0 => Span { from: 0.0, to: t },
-            Inside::Physics => Span { from: start.min(t), to: t },
-            Inside::Step if t >= step.max(start) => Span { from: (t - step).max(start), to: t },
-            _ => Span { from: t, to: t },
-        }
+        Ok(Self { canonical, field, dynamics, config, times, tolerance, little, scratch, future })
     }
 
     /// Where the field puts canonical splats at a time.
@@ -255,53 +156,10 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
             let (canonical, from) = (self.canonical.activated(), self.first_ahead());
             let begin = self.deformed(canonical.geometry(), from);
             let middle = self.start(&canonical, &begin.means, from).middle;
-            let refit = self.config.refit && self.config.field && self.dynamics.motion_rollout().is_some();
+            let refit = self.config.refit && self.config.field;
             let tracks = refit.then(|| self.tracks(&canonical));
-            Future::new(begin, &canonical.opacities, from, middle, tracks.as_ref(), &self.dynamics, self.thrift)
+            Future::new(begin, &canonical.opacities, from, middle, tracks.as_ref(), &self.dynamics, self.tolerance)
         }))
-    }
-
-    /// Where splats are at seen frames, and how they move there.
-    fn tracks(&self, canonical: &Splats) -> Tracks {
-        if self.config.settle > 0.0 { self.carried_tracks(canonical) } else { self.field_tracks(canonical) }
-    }
-
-    /// Offsets from `T_def` of the frames that lie within `before` it and `after` it, latest first.
-    fn frames(&self, before: f64, after: f64) -> Vec<f64> {
-        let frame = self.frame();
-        let [before, after] = [before, after].map(|span| cast::to_usize(span / frame + 1e-3).min(TRACKED));
-        (0..=before + after).map(|k| (after as f64 - k as f64) * frame).collect()
-    }
-
-    /// By the field and what the dynamics say at each frame, up to `T_def`.
-    fn field_tracks(&self, canonical: &Splats) -> Tracks {
-        let Times { last_field, start, .. } = self.times;
-        let taus = self.frames(last_field - start, 0.0);
-        let at = |tau: &f64| {
-            let means = self.deformed(canonical.geometry(), last_field + tau).means;
-            let motions = self.dynamics.motions(self.start(canonical, &means, last_field + tau));
-            (means, motions)
-        };
-        let (means, motions) = taus.iter().map(at).unzip();
-        Tracks { taus, means, motions, origin: self.dynamics.origin(), carried: false }
-    }
-
-    /// By what the dynamics say at `T_def` alone, at the frames that they have settled on.
-    fn carried_tracks(&self, canonical: &Splats) -> Tracks {
-        let Times { last_field, last, start, .. } = self.times;
-        let settled = f64::from(self.config.settle_frames) * self.frame();
-        let before = if settled > 0.0 { settled.min(last_field - start) } else { last_field - start };
-        let taus = self.frames(before, last - last_field);
-        let now = self.deformed(canonical.geometry(), last_field).means;
-        let begin = self.start(canonical, &now, last_field);
-        let motions = self.dynamics.motions(begin);
-        let at = |tau: &f64| {
-            let (mut tape, mut moves) = Default::default();
-            self.dynamics.integrate(begin, last_field + tau, &mut tape, &mut moves);
-            (moves.means, motions.iter().map(|m| m.from(cast::to_f32(*tau))).collect())
-        };
-        let (means, motions) = taus.iter().map(at).unzip();
-        Tracks { taus, means, motions, origin: self.dynamics.origin(), carried: true }
     }
 
     /// Deformed splats, at `x`, as particles that set out at a time.
@@ -314,8 +172,12 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
     }
 
     /// Forward and backward through field and dynamics.
-    fn learn<'a>(&mut self, t: Time, render: &'a mut dyn RenderView) -> Result<&'a ScreenStats, MethodError> {
-        let span = self.training_span(f64::from(t.normalised));
+    fn learn<'a>(
+        &mut self,
+        view: &ViewCtx<'_>,
+        render: &'a mut dyn RenderView,
+    ) -> Result<&'a ScreenStats, MethodError> {
+        let span = self.training_span(f64::from(view.at.t.normalised), view.draw);
         let Scratch { field: tape, dynamics, moved, d_canonical, moves, d_moves, quats, color } = &mut self.scratch;
         let Canonical { splats, d_splats, at, .. } = &mut self.canonical;
         let rest = splats.geometry();
@@ -458,7 +320,7 @@ where
     fn step(&mut self, view: &ViewCtx<'_>, render: &mut dyn RenderView) -> Result<Vec<LossValue>, MethodError> {
         self.canonical.forward();
         let stats = match self.canonical.at.dynamic {
-            true => self.learn(view.at.t, render)?,
+            true => self.learn(view, render)?,
             false => render.render(self.canonical.splats.view(), &mut self.canonical.d_splats)?,
         };
         self.canonical.backward();
@@ -477,7 +339,9 @@ where
             true => self.field.regularise(self.canonical.splats.geometry(), t, step),
             false => Vec::new(),
         };
-        all.extend(self.dynamics.regularise(self.canonical.seed(), step));
+        if !self.canonical.at.deform_only {
+            all.extend(self.dynamics.regularise(self.canonical.seed(), step));
+        }
         all
     }
 
@@ -501,59 +365,5 @@ where
     fn capabilities(&self) -> Capabilities<'_> {
         let growth = Some(self.canonical.growth());
         Capabilities { inspect: Some(self), particles: Some(self), growth, ..Capabilities::default() }
-    }
-}
-
-impl<F: Field, D: Dynamics> Inspect for Advected<F, D>
-where
-    F::Tape: Sync,
-{
-    fn stages(&self, at: &Timestamp, camera: &Camera) -> Result<Vec<StageView>, MethodError> {
-        let canonical = self.canonical.activated();
-        let span = self.render_span(f64::from(at.t.normalised));
-        let deformed = self.transported(Span { from: span.from, to: span.from });
-        let (rest, bent) = (canonical.means.clone(), deformed.means.clone());
-        Ok(vec![
-            StageView { name: "canonical", splats: canonical, before: None },
-            StageView { name: "field", splats: deformed, before: Some(rest) },
-            StageView { name: "full", splats: self.splats(at, camera)?, before: Some(bent) },
-        ])
-    }
-
-    fn quantities(&self, at: &Timestamp) -> Result<Vec<Quantity>, MethodError> {
-        let mut all = kernel_quantities(&self.canonical.activated().kernel);
-        all.extend(self.physical_quantities(f64::from(at.t.normalised)));
-        Ok(all)
-    }
-
-    fn overlays(&self, at: &Timestamp) -> Result<Vec<Overlay>, MethodError> {
-        let mut all = self.directions(f64::from(at.t.normalised));
-        all.extend(self.quantities(at)?.iter().map(Quantity::overlay));
-        Ok(all)
-    }
-}
-
-impl<F: Field, D: Dynamics> ParticleSource for Advected<F, D> {
-    fn particles(&self) -> Particles {
-        let mut splats = self.canonical.activated();
-        let (moved, motions) = self.with_future(|future| future.particles(&self.dynamics));
-        splats.set_geometry(moved);
-        let twists = motions
-            .iter()
-            .map(|Motion { twist, rate, jerk }| [twist.v, twist.w, rate.v, rate.w, jerk.v, jerk.w])
-            .collect();
-        let lasting = self.dynamics.motions_extrapolate();
-        Particles { at: self.first_ahead(), splats, twists, origin: self.dynamics.origin(), lasting }
-    }
-
-    fn bodies(&self, times: &[f64]) -> Vec<RigidBody> {
-        self.with_future(|future| future.bodies(times))
-    }
-}
-
-impl<F: Field, D: Dynamics> Advected<F, D> {
-    /// The time from which the dynamics rule alone.
-    fn first_ahead(&self) -> f64 {
-        if self.config.field { self.times.last_field } else { 0.0 }
     }
 }

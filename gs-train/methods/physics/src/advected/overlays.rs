@@ -1,12 +1,17 @@
-//! What of the learnt physics can be looked at: speed, spin, acceleration, direction and axis of every splat.
+//! What of the learnt physics can be looked at: speed, spin, acceleration, direction and axis of every splat, its stages, and
+//! the particles of a forecast.
 
-use super::Advected;
+use super::spans::Span;
+use super::{Advected, PhysicsConfig};
 use glam::Vec3;
-use gs_core::{Splats, cast};
+use gs_core::{Camera, Splats, cast};
 use gs_deform::Field;
 use gs_physics::{Dynamics, Motion};
-use gs_train::capabilities::{Overlay, Quantity};
+use gs_train::capabilities::{Inspect, Overlay, ParticleSource, Particles, Quantity, RigidBody, StageView};
+use gs_train::kernel::kernel_quantities;
+use gs_train::method::{Method, MethodError};
 use gs_train::palette::DIRECTIONS;
+use gs_train::timestamp::Timestamp;
 
 /// A vector as a colour: grey for none, one channel per axis, the longest of all at the border of the range.
 fn colors(vectors: &[Vec3]) -> Vec<[f32; 3]> {
@@ -73,5 +78,63 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
         [("velocity", &velocities), ("axis", &axes)]
             .map(|(name, v)| Overlay { name, colors: colors(v), meaning: DIRECTIONS })
             .into()
+    }
+}
+
+impl<F: Field, D: Dynamics> Inspect for Advected<F, D>
+where
+    F::Tape: Sync,
+{
+    fn stages(&self, at: &Timestamp, camera: &Camera) -> Result<Vec<StageView>, MethodError> {
+        let canonical = self.canonical.activated();
+        let span = self.render_span(f64::from(at.t.normalised));
+        let deformed = self.transported(Span { from: span.from, to: span.from });
+        let (rest, bent) = (canonical.means.clone(), deformed.means.clone());
+        Ok(vec![
+            StageView { name: "canonical", splats: canonical, before: None },
+            StageView { name: "field", splats: deformed, before: Some(rest) },
+            StageView { name: "full", splats: self.splats(at, camera)?, before: Some(bent) },
+        ])
+    }
+
+    fn warnings(&self) -> Vec<String> {
+        if self.dynamics.motion_rollout().is_some() {
+            return Vec::new();
+        }
+        let PhysicsConfig { refit, slack, bodies, .. } = self.config;
+        let without_effect = [("refit", refit), ("slack", slack > 0.0), ("bodies", bodies > 0)];
+        let warning =
+            |name| format!("physics.{name} has no effect: these dynamics give splats no motion of rigid bodies");
+        without_effect.iter().filter(|(_, on)| *on).map(|(name, _)| warning(*name)).collect()
+    }
+
+    fn quantities(&self, at: &Timestamp) -> Result<Vec<Quantity>, MethodError> {
+        let mut all = kernel_quantities(&self.canonical.activated().kernel);
+        all.extend(self.physical_quantities(f64::from(at.t.normalised)));
+        Ok(all)
+    }
+
+    fn overlays(&self, at: &Timestamp) -> Result<Vec<Overlay>, MethodError> {
+        let mut all = self.directions(f64::from(at.t.normalised));
+        all.extend(self.quantities(at)?.iter().map(Quantity::overlay));
+        Ok(all)
+    }
+}
+
+impl<F: Field, D: Dynamics> ParticleSource for Advected<F, D> {
+    fn particles(&self) -> Particles {
+        let mut splats = self.canonical.activated();
+        let (moved, motions) = self.with_future(|future| future.particles(&self.dynamics));
+        splats.set_geometry(moved);
+        let twists = motions
+            .iter()
+            .map(|Motion { twist, rate, jerk }| [twist.v, twist.w, rate.v, rate.w, jerk.v, jerk.w])
+            .collect();
+        let lasting = self.dynamics.motions_extrapolate();
+        Particles { at: self.first_ahead(), splats, twists, origin: self.dynamics.origin(), lasting }
+    }
+
+    fn bodies(&self, times: &[f64]) -> Vec<RigidBody> {
+        self.with_future(|future| future.bodies(times))
     }
 }

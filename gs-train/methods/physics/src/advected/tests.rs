@@ -1,6 +1,6 @@
 use super::*;
 use glam::Vec3;
-use gs_core::{Camera, SplatsRef};
+use gs_core::{Camera, Rng, SplatsRef};
 use gs_data::PointCloud;
 use gs_deform::{DefGsConfig, DefMlp};
 use gs_physics::{Motion, Twist};
@@ -107,7 +107,7 @@ impl<F: FnMut(SplatsRef<'_>, &mut SplatsGrad)> RenderView for Given<F> {
 /// One view of a step, `cotangents` given.
 fn step_with(m: &mut impl Method, t: f32, cotangents: impl FnMut(SplatsRef<'_>, &mut SplatsGrad)) {
     let camera = Camera::look_at(8, 8, 0.7, glam::DVec3::Z * 5.0, glam::DVec3::ZERO, glam::DVec3::Y).unwrap();
-    let view = ViewCtx { at: Timestamp::new(at(f64::from(t))), camera: &camera, last: false };
+    let view = ViewCtx { at: Timestamp::new(at(f64::from(t))), camera: &camera, draw: 0, last: false };
     m.step(&view, &mut Given { cotangents, stats: ScreenStats::default() }).unwrap();
 }
 
@@ -154,25 +154,27 @@ fn training_reads_the_field_on_either_side_and_never_past_its_end() {
     let mut sides = [0, 0];
     for step in 200..400 {
         begin(&mut m, step);
-        let Span { from, to } = m.training_span(0.3);
+        let Span { from, to } = m.training_span(0.3, 0);
         assert!((f64::abs(from - to) - 0.1).abs() < 1e-7);
         sides[usize::from(from < to)] += 1;
-        assert!((m.training_span(0.58).from - 0.6).abs() < 1e-7 || (m.training_span(0.58).from - 0.48).abs() < 1e-7);
+        assert!(
+            (m.training_span(0.58, 0).from - 0.6).abs() < 1e-7 || (m.training_span(0.58, 0).from - 0.48).abs() < 1e-7
+        );
     }
     assert!(sides.iter().all(|n| *n > 25), "{sides:?}");
-    let still = |t| m.training_span(t).from == t;
+    let still = |t| m.training_span(t, 0).from == t;
     assert!(still(0.0) && still(0.09) && !still(0.11));
-    assert!((m.training_span(0.75).from - 0.6).abs() < 1e-7);
+    assert!((m.training_span(0.75, 0).from - 0.6).abs() < 1e-7);
     let late = method(PhysicsConfig { start: 0.4, ..CONFIG }, true);
-    assert!(late.training_span(0.29).from == 0.29 && late.training_span(0.31).from >= 0.3 - 1e-7);
+    assert!(late.training_span(0.29, 0).from == 0.29 && late.training_span(0.31, 0).from >= 0.3 - 1e-7);
     // A law that begins after the last time of the field is learnt where it draws.
     let after = method(PhysicsConfig { start: 0.9, ..CONFIG }, true);
     for t in [0.65, 0.7] {
-        assert_eq!(after.training_span(t), after.render_span(t));
-        assert!((after.training_span(t).from - 0.6).abs() < 1e-7);
+        assert_eq!(after.training_span(t, 0), after.render_span(t));
+        assert!((after.training_span(t, 0).from - 0.6).abs() < 1e-7);
     }
     let bare = method(PhysicsConfig { field: false, ..CONFIG }, true);
-    assert_eq!(bare.training_span(0.3), Span { from: 0.0, to: 0.3 });
+    assert_eq!(bare.training_span(0.3, 0), Span { from: 0.0, to: 0.3 });
 }
 
 #[test]
@@ -182,7 +184,7 @@ fn a_field_alone_is_read_at_the_time_of_the_photograph() {
     schedule.stages.get_mut("dynamic").unwrap().field_alone = true;
     m.begin_step(&schedule.at(500));
     for t in [0.0, 0.3, 0.7] {
-        assert_eq!(m.training_span(t), Span { from: t, to: t });
+        assert_eq!(m.training_span(t, 0), Span { from: t, to: t });
     }
     learn(&mut m, 0.7);
     assert!(m.dynamics.0.grad.iter().all(|g| *g == 0.0));
@@ -196,7 +198,7 @@ fn the_reach_opens_over_the_stage() {
         let mut lengths = [0; 4];
         for step in steps {
             begin(&mut m, step);
-            let Span { from, to } = m.training_span(0.3);
+            let Span { from, to } = m.training_span(0.3, 0);
             lengths[(f64::abs(from - to) / 0.1).round() as usize] += 1;
         }
         lengths
@@ -214,7 +216,7 @@ fn at_the_end_of_the_stage_dynamics_set_out_from_the_last_field_time() {
         let mut m = method(config, true);
         let from_end = |step: &u32| {
             begin(&mut m, *step);
-            m.training_span(t).from == m.times.last_field
+            m.training_span(t, 0).from == m.times.last_field
         };
         steps.clone().filter(from_end).count() as f64 / steps.len() as f64
     };

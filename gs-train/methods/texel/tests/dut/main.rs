@@ -94,7 +94,7 @@ impl RenderView for Unrendered {
 
 /// Loss of a step without rendering, gradients left in the blocks.
 fn unrendered(m: &mut Dut, at: Timestamp, camera: &Camera) -> f64 {
-    let terms = m.step(&ViewCtx { at, camera, last: true }, &mut Unrendered).expect("step");
+    let terms = m.step(&ViewCtx { at, camera, draw: 0, last: true }, &mut Unrendered).expect("step");
     terms.iter().map(|p| f64::from(p.1)).sum()
 }
 
