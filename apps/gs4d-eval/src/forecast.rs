@@ -33,7 +33,7 @@ const TIME_TOLERANCE: f64 = 0.01;
 #[derive(Debug, thiserror::Error)]
 pub enum ForecastError {
     /// The end is not after the start, or not finite.
-    #[error("there is nothing to forecast from {from} to {until}: the end must be later")]
+    #[error("there is nothing to forecast from {} to {}: the end must be later", cast::to_f32(*from), cast::to_f32(*until))]
     Empty {
         /// Start of the forecast, normalised time.
         from: f64,
@@ -41,7 +41,10 @@ pub enum ForecastError {
         until: f64,
     },
     /// There would be no frame, too many, or the interval is not positive.
-    #[error("frames every {interval} from {from} to {until} are not possible: 1 to {MAX_FRAMES} are")]
+    #[error(
+        "frames every {} from {} to {} are not possible: 1 to {MAX_FRAMES} are",
+        cast::to_f32(*interval), cast::to_f32(*from), cast::to_f32(*until)
+    )]
     Frames {
         /// Start of the forecast, normalised time.
         from: f64,

@@ -134,7 +134,7 @@ pub fn write_video(path: &Path, frames: &[Image]) -> std::io::Result<()> {
         .stdout(Stdio::null())
         .spawn()?;
     if let (Some(mut input), Some(first)) = (child.stdin.take(), frames.first()) {
-        y4m::write_header(first.width, first.height, FPS, &mut input)?;
+        y4m::write_header(first.width, first.height, FPS.into(), &mut input)?;
         frames.iter().try_for_each(|f| y4m::write_frame(f, &mut input))?;
         input.flush()?;
     }

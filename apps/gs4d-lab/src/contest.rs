@@ -118,6 +118,13 @@ pub struct Results {
     pub missing: Vec<TrialError>,
 }
 
+impl Results {
+    /// Whether there is no trial with a result.
+    pub fn none_stands(&self) -> bool {
+        self.standings.iter().all(|s| s.trials.is_empty())
+    }
+}
+
 /// Progress of a contest.
 pub enum Event<'a> {
     /// A trial is started or resumed: `ENTRY / seed-N`.
@@ -165,8 +172,9 @@ impl Contest {
     /// Trains and scores every entry with every seed. A trial that fails is named, and the others go on.
     ///
     /// # Errors
-    /// Invalid settings (before anything is trained), or `stop` was set.
+    /// Invalid settings or data that an entry cannot learn from (before anything is trained), or `stop` was set.
     pub fn run(&self, stop: &AtomicBool, on_event: &mut dyn FnMut(Event)) -> Result<Results, ContestError> {
+        self.check_data()?;
         self.results(&mut |job| {
             let scored = job.train(stop, on_event);
             if let Err(ContestError::Trial(failed)) = &scored {
@@ -195,6 +203,18 @@ impl Contest {
     /// Whether the settings of all entries are valid.
     fn check(&self) -> Result<(), ContestError> {
         self.entries.iter().try_for_each(|entry| self.job(entry, "", 0, self.length).map(drop))
+    }
+
+    /// Whether every entry can learn from the data. Trials that stand need none, so data that are gone are left to the others.
+    fn check_data(&self) -> Result<(), ContestError> {
+        for entry in &self.entries {
+            let job = self.job(entry, "", 0, self.length)?;
+            match job.resolved.reopen_data() {
+                Err(RunError::DataGone { .. }) => {}
+                data => data.and_then(|data| job.resolved.fits(&data)).map_err(|e| job.failed(e))?,
+            }
+        }
+        Ok(())
     }
 
     /// Whether two entries resolve to the same settings.

@@ -7,7 +7,6 @@ use gs_data::DataError;
 use gs_metrics::Lpips;
 use gs_train::registry::Registry;
 use gs4d_lab::contest::{Contest, Entry, Length, Results};
-use gs4d_run::folder::METRICS;
 use gs4d_run::opened::metrics_json;
 use gs4d_run::{OpenRun, RunError};
 use std::path::{Path, PathBuf};
@@ -219,9 +218,9 @@ impl Reproduction {
             on_trial(&trial.run);
             let mut run = OpenRun::open(registry, &trial.run)?;
             run.lpips = Some(lpips.clone());
-            trial.scores = run.score_for_folder(&run.open_data()?)?;
-            let json = metrics_json(&trial.scores, run.loaded.step);
-            run.folder()?.write(METRICS, &format!("{json:#}\n"))?;
+            let dataset = run.open_data()?;
+            trial.scores = run.score_for_folder(&dataset)?;
+            run.folder()?.write_scores(metrics_json(&trial.scores, run.loaded.step), &dataset)?;
         }
         Ok(())
     }

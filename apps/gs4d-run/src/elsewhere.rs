@@ -64,10 +64,11 @@ impl Elsewhere {
         let meta = saved::save_for_rendering(&model, &state).meta;
         let checkpoint = Checkpoint { meta, tensors: self.tensors };
         saved::load(&resolved.registry, &checkpoint, None).map_err(TrainError::State)?;
-        let mut provenance = provenance::begun(resolved, &dataset, step);
+        let config = resolved.to_toml()?;
+        let mut provenance = provenance::begun(resolved, &config, &dataset, step);
         provenance["trained_elsewhere"] = self.origin;
         let beginning = Beginning {
-            config: &resolved.to_toml()?,
+            config: &config,
             provenance: &format!("{provenance:#}\n"),
             data: &format!("{}\n", Kept::of(&dataset).to_json()?),
         };

@@ -58,6 +58,20 @@ pub enum RunError {
         /// The checkpoint file without settings.
         path: PathBuf,
     },
+    /// A file of splats, where a run is needed.
+    #[error("{} is a splat file, not a run", path.display())]
+    SplatFile {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A split that is to be scored is empty.
+    #[error("the data have no {split} views; they have {others}")]
+    NoViews {
+        /// Name of the split.
+        split: &'static str,
+        /// Sizes of the splits that have views.
+        others: String,
+    },
     /// The data of a run are not where they were, or a scene does not say where they are.
     #[error(
         "{}",
@@ -72,6 +86,14 @@ pub enum RunError {
     #[error("the data at {} are not those that the run began with", path.display())]
     DataChanged {
         /// Folder of the data.
+        path: PathBuf,
+        /// Folder of the run.
+        run: PathBuf,
+    },
+    /// The settings are not those that the run wrote.
+    #[error("{} was changed since the run wrote it", path.display())]
+    SettingsChanged {
+        /// File of the settings.
         path: PathBuf,
     },
     /// All training views have one timestamp, and the method learns motion.

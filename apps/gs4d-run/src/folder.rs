@@ -20,8 +20,10 @@ mod begin;
 
 use super::RunError;
 use super::log::Log;
+use super::provenance;
 use gs_core::io::{Limits, disk, read_text, write_file};
-use serde_json::Value;
+use gs_data::Dataset;
+use serde_json::{Value, json};
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 
@@ -47,6 +49,8 @@ pub const REPORT: &str = "report.html";
 pub const DATA: &str = "data.json";
 /// File of a few training cameras, in runs that have no [`DATA`].
 pub const CAMERAS: &str = "cameras.json";
+/// Key in [`METRICS`] of the digest of the data that were scored.
+pub(crate) const DATA_DIGEST: &str = "data_digest";
 const LOCK: &str = ".lock";
 const CHECKPOINTS: &str = "checkpoints";
 const RENDERS: &str = "renders";
@@ -75,7 +79,7 @@ pub struct Beginning<'a> {
 
 impl RunFolder {
     /// Creates a run folder with its [`CONFIG`], [`PROVENANCE`] and [`DATA`]. With `overwrite`, the files of an older run in it are
-    /// removed first; anything else stays.
+    /// removed first, by name; anything else stays.
     ///
     /// A folder that is missing or empty is made beside its place and renamed, so that it is there whole or not at all. Any
     /// other, or one that cannot be renamed to (a mount point, a link, a folder in one that is not writable), is filled in
@@ -145,6 +149,15 @@ impl RunFolder {
         Ok(write_file(&self.root.join(name), true, |out| out.write_all(content.as_bytes()))?)
     }
 
+    /// Writes [`METRICS`]: scores, with the digest of the data they were made on.
+    ///
+    /// # Errors
+    /// If the system refuses.
+    pub fn write_scores(&self, mut scores: Value, dataset: &Dataset) -> Result<(), RunError> {
+        scores[DATA_DIGEST] = json!(provenance::digest(dataset));
+        self.write(METRICS, &format!("{scores:#}\n"))
+    }
+
     /// Reads a text file of the run.
     ///
     /// # Errors
@@ -212,15 +225,21 @@ fn lock(root: &Path) -> Result<File, RunError> {
     }
 }
 
+/// What the runs of tests begin with.
+#[cfg(test)]
+const BEGINNING: Beginning<'static> = Beginning {
+    config: "x = 1\n",
+    provenance: r#"{"machine": {}, "started": "", "method": "static3d"}"#,
+    data: r#"{"times": [], "splits": {}, "held_out": []}"#,
+};
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use serde_json::json;
     use std::fs;
 
     fn create(root: &Path, overwrite: bool) -> Result<RunFolder, RunError> {
-        let beginning = Beginning { config: "x = 1\n", provenance: "{}\n", data: "{}\n" };
-        RunFolder::create(root, overwrite, &beginning)
+        RunFolder::create(root, overwrite, &BEGINNING)
     }
 
     #[test]

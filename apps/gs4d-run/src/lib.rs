@@ -37,7 +37,7 @@ pub use error::RunError;
 pub use folder::RunFolder;
 pub use gs_data::shell_quoted;
 pub use kept::{Kept, SplitSizes};
-pub use opened::OpenRun;
+pub use opened::{OpenRun, check_exists};
 pub use placed::Placed;
 pub use settings::{Request, Resolved};
 pub use training::{Outcome, Progress, ResumeRequest, Scored, Stage, Training};

@@ -3,14 +3,16 @@
 //! Rendering and scoring also work from a single file: a checkpoint in a run folder, or a compact scene ([`crate::compact`]).
 
 use super::folder::{self, RunFolder};
+use super::provenance;
 use super::{Resolved, RunError};
 use crate::compact::{self, SETTINGS};
 use crate::kept::Kept;
+use gs_core::io::{IoError, SplatFormat};
 use gs_data::{Dataset, ImageCache, Split, View};
 use gs_metrics::{Lpips, Quantise};
 use gs_train::checkpoint::{self, Checkpoint, Newest, Skipped};
 use gs_train::device::Device;
-use gs_train::evaluate::{EvalReport, Scoring, evaluate_with, evaluate_with_future};
+use gs_train::evaluate::{EvalReport, Scoring, evaluate_with, evaluate_with_future, split_name};
 use gs_train::ranks::Share;
 use gs_train::registry::Registry;
 use gs_train::saved::{self, Loaded};
@@ -59,7 +61,11 @@ impl OpenRun {
     /// # Errors
     /// As [`Self::open`].
     pub fn open_with(registry: &Registry, path: &Path, data: Option<&Path>) -> Result<Self, RunError> {
+        check_exists(path)?;
         let (folder, newest) = if path.is_file() {
+            if SplatFormat::of_path(path).is_some() {
+                return Err(RunError::SplatFile { path: path.to_owned() });
+            }
             let checkpoint = Checkpoint::load(path)?;
             (None, Newest { checkpoint, path: path.to_owned(), skipped: Vec::new() })
         } else {
@@ -108,6 +114,13 @@ impl OpenRun {
     /// If it is not where it was, or cannot be read.
     pub fn open_data(&self) -> Result<Dataset, RunError> {
         self.resolved.reopen_data()
+    }
+
+    /// Whether these are the data that the run was trained on, as far as it knows: without a digest of them, those at the path that it has
+    /// kept.
+    pub fn trained_on(&self, dataset: &Dataset) -> bool {
+        let known = self.folder.as_ref().and_then(|folder| provenance::trained_on(folder, dataset));
+        known.unwrap_or(!self.moved)
     }
 
     /// What the run has kept of its data; of the data themselves where they can be opened.
@@ -167,6 +180,7 @@ impl OpenRun {
     /// # Errors
     /// If the split is empty, an image cannot be read, or the device fails.
     pub fn score(&self, dataset: &Dataset, split: Split, background: [f32; 3]) -> Result<EvalReport, RunError> {
+        check_views(dataset, split)?;
         let (model, images) = (&self.loaded.model, self.images());
         let mut report = evaluate_with(model, dataset, split, &self.scoring(background, &images))?;
         report.train_seconds = Some(self.loaded.train_seconds);
@@ -179,12 +193,33 @@ impl OpenRun {
     /// # Errors
     /// If there are no test views, an image cannot be read, or the device fails.
     pub fn score_for_folder(&self, dataset: &Dataset) -> Result<EvalReport, RunError> {
+        check_views(dataset, Split::Test)?;
         let (model, images) = (&self.loaded.model, self.images());
         let scoring = self.scoring(self.background(), &images);
         let mut report = evaluate_with_future(model, dataset, Split::Test, &scoring)?;
         report.train_seconds = Some(self.loaded.train_seconds);
         Ok(report)
     }
+}
+
+/// Fails if nothing is at a path, as opening a file there does.
+///
+/// # Errors
+/// [`RunError::Io`].
+pub fn check_exists(path: &Path) -> Result<(), RunError> {
+    let missing = |source| IoError::Os { file: path.display().to_string().into(), action: "open", source };
+    std::fs::metadata(path).map(drop).map_err(|e| missing(e).into())
+}
+
+/// Fails if a split has no views.
+fn check_views(dataset: &Dataset, split: Split) -> Result<(), RunError> {
+    if !dataset.views(split).is_empty() {
+        return Ok(());
+    }
+    let all = [Split::Train, Split::Val, Split::Test, Split::Extrapolate].map(|s| (s, dataset.views(s).len()));
+    let others: Vec<String> =
+        all.iter().filter(|(_, n)| *n > 0).map(|(s, n)| format!("{n} {} views", split_name(*s))).collect();
+    Err(RunError::NoViews { split: split_name(split), others: others.join(", ") })
 }
 
 /// Fails if a checkpoint is of another method than its run.

@@ -1,6 +1,6 @@
 //! Provenance of a run: what is needed to repeat it, and the machine its seconds were measured on.
 
-use crate::folder::{PROVENANCE, RunFolder};
+use crate::folder::{CONFIG, PROVENANCE, RunFolder};
 use crate::{Resolved, RunError};
 use gs_data::{Dataset, ImageSource};
 use gs_raster::SimdLevel;
@@ -87,8 +87,8 @@ impl DataOrigin {
     }
 }
 
-/// The provenance of a run of so many steps that begins now.
-pub(crate) fn begun(resolved: &Resolved, dataset: &Dataset, steps: u32) -> Value {
+/// The provenance of a run of so many steps that begins now; `config` is the text of its settings.
+pub(crate) fn begun(resolved: &Resolved, config: &str, dataset: &Dataset, steps: u32) -> Value {
     json!({
         "machine": Machine::here(),
         "started": now_utc(),
@@ -96,8 +96,37 @@ pub(crate) fn begun(resolved: &Resolved, dataset: &Dataset, steps: u32) -> Value
         "preset": resolved.run.preset,
         "seed": resolved.run.seed,
         "steps": steps,
+        "settings": settings(config),
         "data": DataOrigin::of(dataset),
     })
+}
+
+/// Hash of settings, without what changes no result: where the data are, and how many images are kept in memory. `None` if it is not
+/// TOML.
+fn settings(config: &str) -> Option<String> {
+    let mut table: toml::Table = config.parse().ok()?;
+    if let Some(run) = table.get_mut("run").and_then(toml::Value::as_table_mut) {
+        run.retain(|key, _| !["data", "image_mib"].contains(&key));
+    }
+    let mut hash = Fnv::default();
+    hash.feed(json!(table).to_string().as_bytes());
+    Some(hash.text())
+}
+
+/// Compares the text of the settings with what sessions of the run have written.
+///
+/// # Errors
+/// [`RunError::SettingsChanged`] if none wrote these. Older runs know of none.
+pub(crate) fn check_settings(folder: &RunFolder, config: &str) -> Result<(), RunError> {
+    let provenance = read(folder).unwrap_or_default();
+    let sessions = provenance["resumed"].as_array().into_iter().flatten();
+    let known: Vec<&str> = sessions.chain([&provenance]).filter_map(|s| s["settings"].as_str()).collect();
+    match settings(config) {
+        Some(now) if !known.is_empty() && !known.contains(&now.as_str()) => {
+            Err(RunError::SettingsChanged { path: folder.root().join(CONFIG) })
+        }
+        _ => Ok(()),
+    }
 }
 
 /// A session that goes on with a run.
@@ -108,14 +137,14 @@ pub(crate) struct Session {
     pub(crate) warnings: Vec<String>,
 }
 
-/// Compares data and machine with those of the last session of a run, which goes on from a step.
+/// Compares data and machine with those of the last session of a run, which goes on from a step with the settings of `config`.
 ///
 /// # Errors
 /// [`RunError::DataChanged`] if the data are not those that the run was trained on last, unless that is accepted.
 pub(crate) fn resumed(
     folder: &RunFolder,
     dataset: &Dataset,
-    step: u32,
+    (step, config): (u32, &str),
     accept_changed_data: bool,
 ) -> Result<Session, RunError> {
     // A run whose provenance was lost can go on; there is nothing to compare with.
@@ -124,16 +153,11 @@ pub(crate) fn resumed(
         return Ok(Session { provenance: None, warnings });
     };
     let (machine, DataOrigin { digest, details, .. }) = (Machine::here(), DataOrigin::of(dataset));
-    let last = provenance["resumed"].as_array().and_then(|a| a.last()).unwrap_or(&Value::Null);
-    let before = |of_last: &Value, at_first: &Value| of_last.as_str().or(at_first.as_str()).map(str::to_owned);
-    let known_digest = before(&last["digest"], &provenance["data"]["digest"]);
-    // Older runs have none.
-    let known_details = before(&last["details"], &provenance["data"]["details"]);
-    let known_simd = before(&last["machine"]["simd"], &provenance["machine"]["simd"]);
+    let known_simd = known(&provenance, "/machine/simd", "/machine/simd");
     let mut warnings = Vec::new();
-    if known_digest.is_some_and(|known| known != digest) || known_details.is_some_and(|known| known != details) {
+    if is_of(&provenance, &digest, &details) == Some(false) {
         if !accept_changed_data {
-            return Err(RunError::DataChanged { path: dataset.root.clone() });
+            return Err(RunError::DataChanged { path: dataset.root.clone(), run: folder.root().to_owned() });
         }
         warnings.push("the data are not those that the run began with".to_owned());
     }
@@ -146,10 +170,39 @@ pub(crate) fn resumed(
     }
     if let Some(map) = provenance.as_object_mut() {
         let sessions = map.entry("resumed").or_insert_with(|| json!([]));
-        let session = json!({"step": step, "at": now_utc(), "machine": machine, "digest": digest, "details": details});
+        let session = json!({
+            "step": step, "at": now_utc(), "machine": machine, "settings": settings(config), "digest": digest, "details": details,
+        });
         sessions.as_array_mut().into_iter().for_each(|s| s.push(session.clone()));
     }
     Ok(Session { provenance: Some(format!("{provenance:#}\n")), warnings })
+}
+
+/// What the last session of a run wrote down at a place of its entry, or the first at its own.
+fn known(provenance: &Value, in_session: &str, at_first: &str) -> Option<String> {
+    let last = provenance["resumed"].as_array().and_then(|a| a.last());
+    let text = last.and_then(|session| session.pointer(in_session)?.as_str());
+    text.or_else(|| provenance.pointer(at_first)?.as_str()).map(str::to_owned)
+}
+
+/// Whether a run was trained last on the data with these hashes; `None` if its provenance has no digest.
+fn is_of(provenance: &Value, digest: &str, details: &str) -> Option<bool> {
+    let known_digest = known(provenance, "/digest", "/data/digest")?;
+    // Older runs have no details.
+    let known_details = known(provenance, "/details", "/data/details");
+    Some(known_digest == digest && known_details.is_none_or(|known| known == details))
+}
+
+/// Whether a run was trained last on these data; `None` if that is not known: its provenance is lost, or is that of the first of
+/// several rounds.
+pub(crate) fn trained_on(folder: &RunFolder, dataset: &Dataset) -> Option<bool> {
+    let provenance = read(folder).filter(|p| p["rounds"].is_null())?;
+    is_of(&provenance, &digest(dataset), &details(dataset))
+}
+
+/// Digest of the data that a run was trained on last.
+pub(crate) fn known_digest(folder: &RunFolder) -> Option<String> {
+    known(&read(folder)?, "/digest", "/data/digest")
 }
 
 fn read(folder: &RunFolder) -> Option<Value> {
@@ -207,7 +260,7 @@ fn sample(path: &Path) -> Vec<u8> {
 
 /// 64-bit FNV-1a over names, cameras, times, image paths (relative to the folder) and parts of the images of all views: the
 /// same for the same data wherever the folder stands.
-fn digest(dataset: &Dataset) -> String {
+pub(crate) fn digest(dataset: &Dataset) -> String {
     let mut hash = Fnv::default();
     let mut feed = |bytes: &[u8]| hash.feed(bytes);
     feed(dataset.layout.as_bytes());

@@ -307,6 +307,19 @@ impl Resolved {
         }
     }
 
+    /// Whether the method can learn from a data set.
+    ///
+    /// # Errors
+    /// If it needs the template of a filmed person and there is none; [`RunError::Static`] if nothing can move and it learns motion.
+    pub fn fits(&self, dataset: &Dataset) -> Result<(), RunError> {
+        self.registry.find(&self.run.method)?.avatar(dataset)?;
+        let still = !dataset.dynamic && dataset.avatar.is_none();
+        if still && self.learns_motion() {
+            return Err(RunError::Static { path: dataset.root.clone(), method: self.run.method.clone() });
+        }
+        Ok(())
+    }
+
     /// Whether some stage of the schedule learns motion.
     pub fn learns_motion(&self) -> bool {
         let stages = self.method.get("schedule").and_then(|s| s.get("stages")).and_then(toml::Value::as_table);

@@ -7,7 +7,7 @@ use super::RunError;
 use super::folder::{self, Beginning, RunFolder};
 use super::kept::Kept;
 use super::log::Log;
-use super::opened::{check_method, metrics_json};
+use super::opened::{check_exists, check_method, metrics_json};
 use super::provenance;
 use super::ranks;
 use super::saving::Patience;
@@ -125,9 +125,7 @@ impl Training {
     pub fn begin(root: &Path, overwrite: bool, resolved: Resolved) -> Result<Self, RunError> {
         let dataset = Arc::new(resolved.open_data()?);
         let resolved = resolved.with_start_points(&dataset)?;
-        if !dataset.dynamic && dataset.train.len() > 1 && dataset.avatar.is_none() && resolved.learns_motion() {
-            return Err(RunError::Static { path: dataset.root.clone(), method: resolved.run.method.clone() });
-        }
+        resolved.fits(&dataset)?;
         Self::begin_on(root, overwrite, resolved, dataset, None)
     }
 
@@ -145,10 +143,11 @@ impl Training {
     ) -> Result<Self, RunError> {
         let options = TrainOptions { seed: resolved.run.seed, image_bytes: resolved.run.image_bytes() };
         let trainer = Trainer::new(&resolved.registry, dataset, &resolved.run.method, &resolved.method, options)?;
-        let mut provenance = provenance::begun(&resolved, trainer.dataset(), trainer.steps());
+        let config = resolved.to_toml()?;
+        let mut provenance = provenance::begun(&resolved, &config, trainer.dataset(), trainer.steps());
         provenance["rounds"] = json!(rounds);
         let beginning = Beginning {
-            config: &resolved.to_toml()?,
+            config: &config,
             provenance: &format!("{provenance:#}\n"),
             data: &format!("{}\n", Kept::of(trainer.dataset()).to_json()?),
         };
@@ -161,15 +160,18 @@ impl Training {
     /// Resumes a run from its newest checkpoint that verifies.
     ///
     /// # Errors
-    /// If no checkpoint is usable, the data have changed, the steps cannot be made, or it is trained in rounds.
+    /// If no checkpoint is usable, data or settings have changed, the steps cannot be made, or it is trained in rounds.
     pub fn resume(registry: &Registry, root: &Path, request: &ResumeRequest) -> Result<Self, RunError> {
+        check_exists(root)?;
         let folder = RunFolder::open_to_write(root)?;
         if let Some(rounds) = folder.rounds() {
             let command = rounds["command"].as_str().unwrap_or("gs4d continual").to_owned();
             return Err(RunError::InRounds { path: root.to_owned(), command });
         }
         let newest = checkpoint::load_newest(&folder.checkpoints())?;
-        let mut resolved = Resolved::read(registry, &folder.read(folder::CONFIG)?, folder::CONFIG)?;
+        let mut config = folder.read(folder::CONFIG)?;
+        let mut resolved = Resolved::read(registry, &config, folder::CONFIG)?;
+        provenance::check_settings(&folder, &config)?;
         check_method(&newest, &resolved)?;
         if let Some(data) = &request.data {
             resolved = resolved.with_data(data)?;
@@ -182,13 +184,18 @@ impl Training {
             resolved = settings::lengthen(&resolved, steps, done)?;
         }
         let dataset = Arc::new(resolved.reopen_data()?);
-        let session = provenance::resumed(&folder, &dataset, done, request.accept_changed_data)?;
+        let changed = request.steps.is_some() || request.data.is_some() || request.image_mib.is_some();
+        if changed {
+            config = resolved.to_toml()?;
+        }
+        let session = provenance::resumed(&folder, &dataset, (done, &config), request.accept_changed_data)?;
         let bytes = resolved.run.image_bytes();
         let trainer = Trainer::resume(registry, dataset, &newest.checkpoint, Some(&resolved.method), bytes)?;
-        if request.steps.is_some() || request.data.is_some() || request.image_mib.is_some() {
-            folder.write(folder::CONFIG, &resolved.to_toml()?)?;
-        }
+        // First what the settings are compared with.
         session.provenance.map_or(Ok(()), |text| folder.write(folder::PROVENANCE, &text))?;
+        if changed {
+            folder.write(folder::CONFIG, &config)?;
+        }
         folder.cut_logs(done)?;
         let stop_at = request.budget.map_or(0.0, |b| trainer.train_seconds() + b);
         let (skipped, warnings) = (newest.skipped, session.warnings);
@@ -378,7 +385,7 @@ impl Training {
     pub fn score(&self) -> Result<EvalReport, RunError> {
         let mut report = self.trainer.evaluate(&self.images())?;
         report.train_seconds = Some(self.trainer.train_seconds());
-        self.folder.write(folder::METRICS, &format!("{:#}\n", metrics_json(&report, self.trainer.steps_done())))?;
+        self.folder.write_scores(metrics_json(&report, self.trainer.steps_done()), self.trainer.dataset())?;
         let refined = self.refined_cameras();
         if !refined.is_empty() {
             save_cameras(&self.folder.root().join(folder::REFINED_CAMERAS), &refined, true)?;

@@ -109,6 +109,13 @@ impl Failure {
         self
     }
 
+    /// Adds what to do after that.
+    pub fn then(mut self, remedy: impl fmt::Display) -> Self {
+        let first = &mut self.text.remedy;
+        *first = if first.is_empty() { remedy.to_string() } else { format!("{first}; {remedy}") };
+        self
+    }
+
     /// Adds what to do.
     pub fn remedy(mut self, remedy: impl fmt::Display) -> Self {
         self.text.remedy = remedy.to_string();
@@ -174,6 +181,13 @@ impl From<IoError> for Failure {
 
 impl From<CheckpointError> for Failure {
     fn from(e: CheckpointError) -> Self {
+        if let CheckpointError::NoneUsable { dir, skipped } = &e
+            && skipped.is_empty()
+        {
+            return Self::new(Class::Data, "checkpoint.none", format!("there is no checkpoint in {}", dir.display()))
+                .why("the run has saved nothing yet")
+                .remedy("begin it anew: gs4d train with --continue or -f");
+        }
         let (class, id, remedy) = match &e {
             CheckpointError::Io { .. } | CheckpointError::Write(_) => {
                 (Class::Io, "checkpoint.io", "check the path and the space on the disk")
@@ -211,8 +225,11 @@ impl From<TrainError> for Failure {
         match e {
             TrainError::Data(e) => e.into(),
             TrainError::Method(e) => e.into(),
-            TrainError::Numeric { .. } => Self::new(Class::Numeric, "numeric", e.to_string())
-                .why("what is not finite spreads to everything it touches"),
+            TrainError::Numeric { step, view, what } => {
+                Self::new(Class::Numeric, "numeric", format!("step {step}, view {view}: {what}"))
+                    .why("what is not finite spreads to everything it touches")
+                    .remedy("lower the learning rates; what was saved before is good")
+            }
             TrainError::State(_) => Self::new(Class::Data, "checkpoint.state", e.to_string())
                 .remedy("resume with the data and the version the run began with"),
             TrainError::Rank { code, .. } => Self::new(Class::of_code(code), "rank", e.to_string())
@@ -271,8 +288,11 @@ impl From<ForecastError> for Failure {
         match e {
             ForecastError::Eval(e) => e.into(),
             ForecastError::NoView { .. } => Self::new(Class::Data, "data.view", text),
-            ForecastError::Empty { .. } | ForecastError::Frames { .. } => {
-                Self::usage(text).remedy("times are normalised: the last training time is 1, or data.time_boundary")
+            ForecastError::Empty { .. } => Self::usage(text).remedy(
+                "give a later --until, or an earlier --from; times are normalised: the last training time is 1, or data.time_boundary",
+            ),
+            ForecastError::Frames { .. } => {
+                Self::usage(text).remedy("say how many with --frames, or how many per unit of the data's clock with --fps")
             }
         }
     }
@@ -310,6 +330,12 @@ impl From<RunError> for Failure {
             RunError::NotARun { .. } => {
                 Self::new(Class::Data, "run", text).remedy("give the folder that gs4d train -o made")
             }
+            RunError::SplatFile { .. } => Self::new(Class::Data, "run", text)
+                .why("it has one moment, no method and no data")
+                .remedy("give the run folder, or a .gs4d file that gs4d export made"),
+            RunError::NoViews { .. } => {
+                Self::new(Class::Data, "data.split", text).remedy("choose one of these with --split")
+            }
             RunError::NoSettings { .. } => {
                 Self::new(Class::Data, "run", text).remedy("give the run folder, or a .gs4d file that gs4d export made")
             }
@@ -318,9 +344,18 @@ impl From<RunError> for Failure {
             }
             RunError::Static { .. } => Self::new(Class::Data, "data.static", text)
                 .remedy("give times: --set data.time_from=name (the last number of each file name) or order; or train a method without motion: -m static3d"),
-            RunError::DataChanged { .. } => Self::new(Class::Data, "data.changed", text)
+            RunError::DataChanged { run, .. } => Self::new(Class::Data, "data.changed", text)
                 .why("the run would not be the one that it says it is")
-                .remedy("bring the data back, or go on with --accept-changed-data, which provenance.json keeps"),
+                .remedy(format!(
+                    "bring the data back, or accept them with gs4d resume {} --accept-changed-data, which provenance.json keeps",
+                    run.display()
+                )),
+            RunError::SettingsChanged { path } => {
+                let config = gs4d_run::shell_quoted(path.display().to_string());
+                Self::new(Class::Data, "run.settings", text)
+                    .why("a run goes on with the settings that it began with; its report states them for all of its steps")
+                    .remedy(format!("restore the file, or begin another run with it: gs4d train DATA -m METHOD -o NEW --config {config}"))
+            }
             RunError::OtherMethod { .. } => {
                 Self::new(Class::Data, "checkpoint.method", text).remedy("move the file out of the run")
             }

@@ -164,7 +164,15 @@ fn renamed(
 fn command() -> clap::Command {
     let command = Cli::command();
     let help = help::after(&command);
-    command.after_help(help)
+    with_negative_numbers(command.after_help(help))
+}
+
+/// Lets the parser of every flag see a negative number; else it is taken for a flag.
+fn with_negative_numbers(command: clap::Command) -> clap::Command {
+    let takes_one = |arg: &clap::Arg| !arg.is_positional() && arg.get_action().takes_values();
+    command
+        .mut_args(|arg| if takes_one(&arg) { arg.allow_negative_numbers(true) } else { arg })
+        .mut_subcommands(with_negative_numbers)
 }
 
 fn parsed() -> Result<Cli, clap::Error> {

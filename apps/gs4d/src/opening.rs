@@ -23,6 +23,14 @@ impl RunData {
     }
 }
 
+/// Says of the first time outside training that the method extrapolates there.
+pub fn note_extrapolated(times: impl IntoIterator<Item = f32>, run: &OpenRun, global: &Global) {
+    let last = Some(run.loaded.scene.last_time).filter(|last| *last > 0.0).unwrap_or(1.0);
+    if let Some(time) = times.into_iter().find(|time| !(0.0..=last).contains(time)) {
+        global.say(format!("note: time {time} lies outside training (0..{last}): what is there is extrapolated"));
+    }
+}
+
 /// Says which checkpoints of a run were passed over.
 pub fn say_skipped(run: &Path, skipped: &[gs_train::checkpoint::Skipped], global: &Global) {
     for skipped in skipped {

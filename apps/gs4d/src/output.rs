@@ -1,7 +1,7 @@
 //! Output files and folders.
 
 use crate::failure::{Class, Failure};
-use gs_core::io::disk;
+use gs_core::io::{disk, folder_of};
 use std::path::Path;
 
 /// Fails if one of the output files exists, unless `force` is set. `what` names the file and `choose` what `-o` gives
@@ -19,6 +19,12 @@ pub fn check_free<P: AsRef<Path>>(
             .why("nothing is overwritten unless asked")
             .remedy(format!("choose another {choose} with -o, or pass -f"))),
     }
+}
+
+/// Fails if the file that `-o` names exists, unless `force` is set; creates the folder for it.
+pub fn prepare_file(force: bool, file: &Path) -> Result<(), Failure> {
+    check_free(force, "file", "name", [file])?;
+    create_folder(folder_of(file))
 }
 
 /// Creates a folder and those above it.

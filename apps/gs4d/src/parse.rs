@@ -23,6 +23,12 @@ pub fn positive(text: &str) -> Result<f32, String> {
     finite(text).ok().filter(|v| *v > 0.0).ok_or_else(|| "give a number above 0, for example 0.1".to_owned())
 }
 
+/// Frames per second of a video.
+pub fn frame_rate(text: &str) -> Result<f64, String> {
+    let rate = text.trim().parse::<f64>().ok().filter(|v| (1.0..=1000.0).contains(v));
+    rate.ok_or_else(|| "give frames per second from 1 to 1000, for example 30 or 29.97".to_owned())
+}
+
 /// A number above 0 and up to 1, or percent.
 pub fn share(text: &str) -> Result<f64, String> {
     let text = text.trim();
@@ -134,6 +140,7 @@ mod tests {
             assert!(size(bad).is_err(), "{bad}");
         }
         assert!(field_of_view("60").is_ok() && field_of_view("0").is_err() && field_of_view("180").is_err());
+        assert!(frame_rate("29.97") == Ok(29.97) && frame_rate("0").is_err() && frame_rate("-1").is_err());
         assert!(share("1").is_ok() && share("0").is_err() && share("1.1").is_err());
         assert!(finite("-0.5").is_ok() && finite("inf").is_err() && not_negative("-1").is_err());
     }

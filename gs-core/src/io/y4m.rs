@@ -7,7 +7,7 @@
 //! use gs_core::{Image, io::y4m};
 //!
 //! let mut video = Vec::new();
-//! y4m::write_header(1, 1, 25, &mut video)?;
+//! y4m::write_header(1, 1, 25.0, &mut video)?;
 //! y4m::write_frame(&Image::from_data(1, 1, 3, vec![1.0; 3])?, &mut video)?;
 //! assert!(video.ends_with(&[235, 128, 128])); // white: Y, Cb, Cr
 //! # Ok::<(), Box<dyn std::error::Error>>(())
@@ -16,12 +16,13 @@
 use crate::Image;
 use std::io::Write;
 
-/// Writes the stream header: size in pixels, `fps` frames per second.
+/// Writes the stream header: size in pixels, `fps` frames per second, to thousandths.
 ///
 /// # Errors
 /// The writer's own.
-pub fn write_header(width: usize, height: usize, fps: u32, out: &mut dyn Write) -> std::io::Result<()> {
-    writeln!(out, "YUV4MPEG2 W{width} H{height} F{fps}:1 Ip A1:1 C444")
+pub fn write_header(width: usize, height: usize, fps: f64, out: &mut dyn Write) -> std::io::Result<()> {
+    let [rate, per] = if fps.fract() == 0.0 { [fps, 1.0] } else { [(1000.0 * fps).round(), 1000.0] };
+    writeln!(out, "YUV4MPEG2 W{width} H{height} F{rate}:{per} Ip A1:1 C444")
 }
 
 /// Writes a frame `[height, width, 3]` of display-encoded colours in `[0, 1]`; others are clamped, NaN counts as 0.
@@ -56,7 +57,7 @@ mod tests {
         let data = vec![0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 2.0, -1.0, f32::NAN];
         let image = Image { width: 2, height: 2, channels: 3, data };
         let mut out = Vec::new();
-        write_header(2, 2, 25, &mut out).unwrap();
+        write_header(2, 2, 25.0, &mut out).unwrap();
         write_frame(&image, &mut out).unwrap();
         let head = b"YUV4MPEG2 W2 H2 F25:1 Ip A1:1 C444\nFRAME\n";
         assert_eq!(&out[..head.len()], head);

@@ -16,9 +16,10 @@ impl Contest {
     /// The trials; under a time budget the pilots that are not finished, if there are any. Nothing is trained.
     ///
     /// # Errors
-    /// Invalid settings, or another run in the folder of a pilot.
+    /// Invalid settings, data that are here and that an entry cannot learn from, or another run in the folder of a pilot.
     pub fn plan(&self) -> Result<Plan, ContestError> {
         self.check()?;
+        self.check_data()?;
         let (mut pilots, mut trials) = (Vec::new(), Vec::new());
         for entry in &self.entries {
             match self.pilot(entry)? {

@@ -129,11 +129,13 @@ fn missing_foreign_and_unfinished_trials_are_named_and_the_others_stand() {
 fn a_trial_that_fails_leaves_the_others() {
     let folder = tempfile::tempdir().unwrap();
     let contest = Contest {
-        // The first needs data of a filmed person.
-        entries: vec![Entry::new("dut"), Entry::new("static3d")],
+        entries: vec![Entry::parse("static3d init.points=200").unwrap(), Entry::new("static3d")],
         length: Length::Steps(4),
         ..tiny(folder.path(), 4, 1)
     };
+    let taken = contest.root.join("static3d_init.points=200/seed-0");
+    fs::create_dir_all(&taken).unwrap();
+    fs::write(taken.join("notes.txt"), "mine").unwrap();
     let mut failed = Vec::new();
     let mut note = |e: Event| {
         if let Event::Failed(trial) = e {
@@ -142,8 +144,26 @@ fn a_trial_that_fails_leaves_the_others() {
     };
     let results = contest.run(&AtomicBool::new(false), &mut note).unwrap();
     assert_eq!(results.standings.iter().map(|s| s.trials.len()).collect::<Vec<_>>(), [0, 1]);
-    assert_eq!((results.missing.len(), results.missing[0].trial.as_str()), (1, "dut / seed-0"));
+    assert_eq!((results.missing.len(), results.missing[0].trial.as_str()), (1, "static3d init.points=200 / seed-0"));
     assert_eq!(failed, [results.missing[0].to_string()]);
+}
+
+#[test]
+fn data_that_an_entry_cannot_learn_from_are_told_before_anything_is_trained() {
+    let folder = tempfile::tempdir().unwrap();
+    let contest = Contest { length: Length::Steps(4), ..tiny(folder.path(), 4, 1) };
+    let refused = |entry: &str| {
+        let entries = vec![Entry::new("static3d"), Entry::parse(entry).unwrap()];
+        let contest = Contest { entries, ..contest.clone() };
+        assert!(matches!(contest.plan(), Err(ContestError::Trial(_))), "{entry}");
+        match contest.run(&AtomicBool::new(false), &mut |_| panic!("nothing is trained")) {
+            Err(ContestError::Trial(e)) => *e.source,
+            other => panic!("{entry}: {other:?}"),
+        }
+    };
+    assert!(matches!(refused("dut"), RunError::Method(_)), "it needs data of a filmed person");
+    assert!(matches!(refused("static3d data.layout=colmap"), RunError::Data(_)));
+    assert!(!contest.root.exists());
 }
 
 #[test]

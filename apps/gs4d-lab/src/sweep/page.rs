@@ -6,6 +6,9 @@ use gs4d_report::chart::{Curve, Scale, chart};
 use gs4d_report::html::{document, section, table};
 use std::fmt::Write as _;
 
+/// Stands below the title of every page.
+pub const SUBTITLE: &str = "One setting at a time around a preset; means over seeds.";
+
 /// Title of a chart and the plotted score.
 type Quality = (&'static str, fn(&Row) -> Option<f64>);
 
@@ -26,7 +29,7 @@ pub fn page(title: &str, rows: &[Row]) -> Result<String, ReportError> {
     let charts = if charts.is_empty() { charts } else { format!("<div class=\"charts\">\n{charts}</div>\n") };
     let remark = "One line for each varied setting, through its values and the preset.";
     let parts = section("Quality against bytes", remark, &charts) + &section("Settings", "", &rows_table(rows));
-    Ok(document(title, "One setting at a time around a preset; means over seeds.", &parts))
+    Ok(document(title, SUBTITLE, &parts))
 }
 
 /// One line per key, by ascending bytes.

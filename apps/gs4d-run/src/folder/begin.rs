@@ -1,10 +1,11 @@
 //! Making a run folder so that it is there whole or not at all.
 
 use super::{
-    Beginning, CAMERAS, CHECKPOINTS, CONFIG, DATA, HISTOGRAMS, JOURNAL, LOCK, LOG, METRICS, PROVENANCE,
+    Beginning, CAMERAS, CHECKPOINTS, CONFIG, DATA, HISTOGRAMS, JOURNAL, LIMITS, LOCK, LOG, METRICS, PROVENANCE,
     REFINED_CAMERAS, RENDERS, REPORT, ROUNDS, RunError, is_run, lock,
 };
-use gs_core::io::{disk, folder_of, is_temporary, remove_abandoned, temporary_beside, write_file};
+use gs_core::io::{disk, folder_of, is_temporary, read_text, remove_abandoned, temporary_beside, write_file};
+use serde_json::Value;
 use std::fs::{self, File};
 use std::io::ErrorKind;
 use std::path::Path;
@@ -32,7 +33,9 @@ fn is_vacant(root: &Path) -> std::io::Result<bool> {
     for entry in fs::read_dir(root)? {
         let entry = entry?;
         let vacant = match entry.file_name().to_str() {
-            Some(LOCK | PROVENANCE | CAMERAS | DATA) => true,
+            Some(LOCK) => true,
+            Some(PROVENANCE) => is_json_with(&entry.path(), &["machine", "started", "method"]),
+            Some(DATA) => is_json_with(&entry.path(), &["times", "splits", "held_out"]),
             Some(CHECKPOINTS | RENDERS) => is_empty(&entry.path())?,
             name => name.is_some_and(is_temporary),
         };
@@ -41,6 +44,12 @@ fn is_vacant(root: &Path) -> std::io::Result<bool> {
         }
     }
     Ok(true)
+}
+
+/// Whether a file is a JSON object with these keys, as gs4d writes it.
+fn is_json_with(path: &Path, keys: &[&str]) -> bool {
+    let json = read_text(path, &LIMITS).ok().and_then(|text| serde_json::from_str::<Value>(&text).ok());
+    json.is_some_and(|json| keys.iter().all(|key| json.get(key).is_some()))
 }
 
 /// Refuses a folder that a run may not begin in.
@@ -94,22 +103,42 @@ fn remove_results(root: &Path) -> Result<(), RunError> {
         let path = root.join(name);
         disk::remove_file(&path).map_err(|e| RunError::io("remove", &path, e))?;
     }
-    for name in [CHECKPOINTS, RENDERS] {
-        let path = root.join(name);
-        disk::remove_folder(&path).map_err(|e| RunError::io("remove", &path, e))?;
+    remove_own(&root.join(CHECKPOINTS), |name| name == "latest" || after_step(name) == Some(".gs4d"))?;
+    remove_own(&root.join(RENDERS), |name| after_step(name).is_some_and(|r| r.starts_with('_') && r.ends_with(".png")))
+}
+
+/// Removes the files of a folder, if there is one, that gs4d wrote there: temporary ones, and those with such names.
+fn remove_own(folder: &Path, is_own: impl Fn(&str) -> bool) -> Result<(), RunError> {
+    let failed = |e| RunError::io("list", folder, e);
+    let entries = match fs::read_dir(folder) {
+        Err(e) if e.kind() == ErrorKind::NotFound => return Ok(()),
+        entries => entries.map_err(failed)?,
+    };
+    for entry in entries {
+        let entry = entry.map_err(failed)?;
+        let is_file = !entry.file_type().map_err(failed)?.is_dir();
+        if is_file && entry.file_name().to_str().is_some_and(|name| is_temporary(name) || is_own(name)) {
+            disk::remove_file(&entry.path()).map_err(|e| RunError::io("remove", &entry.path(), e))?;
+        }
     }
     Ok(())
 }
 
+/// What follows a step of at least six digits in the name of a file that is of one, such as `step-000040_view.png`.
+fn after_step(name: &str) -> Option<&str> {
+    let number = name.strip_prefix("step-")?;
+    let rest = number.trim_start_matches(|c: char| c.is_ascii_digit());
+    (number.len() - rest.len() >= 6).then_some(rest)
+}
+
 #[cfg(test)]
 mod tests {
-    use super::super::RunFolder;
+    use super::super::{BEGINNING, RunFolder};
     use super::*;
     use gs_core::testkit::faults::{Fault, Faults, with_faults};
 
     fn create(root: &Path, overwrite: bool) -> Result<RunFolder, RunError> {
-        let beginning = Beginning { config: "x = 1\n", provenance: "{}\n", data: "{}\n" };
-        RunFolder::create(root, overwrite, &beginning)
+        RunFolder::create(root, overwrite, &BEGINNING)
     }
 
     fn names(folder: &Path) -> Vec<String> {
@@ -154,9 +183,11 @@ mod tests {
             let root = dir.path().join(format!("{overwrite}"));
             fs::create_dir_all(root.join(CHECKPOINTS)).unwrap();
             fs::create_dir_all(root.join(RENDERS)).unwrap();
-            for name in [LOCK, PROVENANCE, ".config.resolved.toml.4194999.0.gs4d.tmp"] {
+            for name in [LOCK, ".config.resolved.toml.4194999.0.gs4d.tmp"] {
                 fs::write(root.join(name), "").unwrap();
             }
+            fs::write(root.join(PROVENANCE), BEGINNING.provenance).unwrap();
+            fs::write(root.join(DATA), BEGINNING.data).unwrap();
             create(&root, overwrite).unwrap();
             assert_eq!(names(&root), WHOLE);
         }
@@ -164,6 +195,43 @@ mod tests {
         fs::create_dir_all(root.join(CHECKPOINTS)).unwrap();
         fs::write(root.join(CHECKPOINTS).join("step-000001.gs4d"), "x").unwrap();
         assert!(matches!(create(&root, true), Err(RunError::Occupied { is_run: false, .. })), "results are not lost");
+    }
+
+    #[test]
+    fn files_of_a_user_with_the_names_of_ours_are_not_replaced() {
+        let dir = tempfile::tempdir().unwrap();
+        for (k, (name, content)) in
+            [(PROVENANCE, "{\"machine\": \"mine\"}"), (DATA, "[1, 2]"), (DATA, ""), (CAMERAS, BEGINNING.data)]
+                .into_iter()
+                .enumerate()
+        {
+            let root = dir.path().join(k.to_string());
+            fs::create_dir(&root).unwrap();
+            fs::write(root.join(name), content).unwrap();
+            for overwrite in [false, true] {
+                assert!(matches!(create(&root, overwrite), Err(RunError::Occupied { is_run: false, .. })), "{name}");
+            }
+            assert_eq!(fs::read_to_string(root.join(name)).unwrap(), content);
+            assert_eq!(names(&root), [name]);
+        }
+    }
+
+    #[test]
+    fn an_older_run_loses_what_we_wrote_and_nothing_else() {
+        let dir = tempfile::tempdir().unwrap();
+        drop(create(dir.path(), false).unwrap());
+        let own = ["step-000040.gs4d", "step-1000000.gs4d", "latest", ".step-000041.gs4d.4194999.0.gs4d.tmp"]
+            .map(|name| dir.path().join(CHECKPOINTS).join(name))
+            .into_iter()
+            .chain(["step-000040_r_001.png", "step-000040_.png"].map(|name| dir.path().join(RENDERS).join(name)));
+        let own: Vec<_> = own.collect();
+        let foreign = ["checkpoints/best.gs4d", "checkpoints/step-1.gs4d", "renders/step-000040.png", "renders/me.png"]
+            .map(|name| dir.path().join(name));
+        own.iter().chain(&foreign).for_each(|path| fs::write(path, "x").unwrap());
+        fs::create_dir(dir.path().join("renders/orbit")).unwrap();
+        drop(create(dir.path(), true).unwrap());
+        assert!(own.iter().all(|path| !path.exists()) && foreign.iter().all(|path| path.exists()));
+        assert!(dir.path().join("renders/orbit").is_dir());
     }
 
     #[test]

@@ -1,8 +1,8 @@
 //! How far the run of given settings has come in its folder, and going on with it.
 
 use super::{ResumeRequest, Training};
-use crate::folder::{CONFIG, METRICS, RunFolder};
-use crate::{Resolved, RunError};
+use crate::folder::{CONFIG, DATA_DIGEST, METRICS, RunFolder};
+use crate::{Resolved, RunError, provenance};
 use gs_train::checkpoint;
 use gs_train::evaluate::EvalReport;
 use serde_json::Value;
@@ -32,7 +32,8 @@ impl Stage {
     /// How far the run in a folder has come that has these settings.
     ///
     /// # Errors
-    /// [`RunError::OtherSettings`] if its settings are others or it is trained in rounds; if its settings cannot be read.
+    /// [`RunError::OtherSettings`] if its settings are others or it is trained in rounds, [`RunError::DataChanged`] if it is finished
+    /// on other data than those of the settings are now; if its settings cannot be read.
     pub fn of(root: &Path, resolved: &Resolved) -> Result<Self, RunError> {
         let folder = match RunFolder::open(root) {
             Err(RunError::NotARun { .. }) => return Ok(Stage::Missing),
@@ -43,32 +44,48 @@ impl Stage {
             return Err(RunError::OtherSettings { path: root.to_owned() });
         }
         match scored(&folder, resolved) {
-            Some(scored) => Ok(Stage::Finished(Box::new(scored))),
+            // Data that are gone cannot be compared.
+            Some(scored) => match resolved.open_data().ok() {
+                Some(data) if provenance::trained_on(&folder, &data) == Some(false) => {
+                    Err(RunError::DataChanged { path: data.root, run: root.to_owned() })
+                }
+                _ => Ok(Stage::Finished(Box::new(scored))),
+            },
             None => Ok(Stage::Begun(checkpoint::steps_in(&folder.checkpoints())?.first().copied().unwrap_or(0))),
         }
     }
 }
 
-/// The scores of a run at the end of its training; `gs4d eval` may have scored an earlier step.
+/// The scores of a run at the end of its training, whose checkpoint is there. `gs4d eval` may have scored an earlier step; those of
+/// other data than the run was trained on last do not count.
 fn scored(folder: &RunFolder, resolved: &Resolved) -> Option<Scored> {
     let json: Value = serde_json::from_str(&folder.read(METRICS).ok()?).ok()?;
     let step = u32::try_from(json["step"].as_u64()?).ok()?;
+    // Older runs do not say which data were scored.
+    if json[DATA_DIGEST].as_str().is_some_and(|scored| provenance::known_digest(folder).is_some_and(|d| d != scored)) {
+        return None;
+    }
     let scores: EvalReport = serde_json::from_value(json).ok()?;
     let (budget, seconds) = (resolved.run.time_budget, scores.train_seconds.unwrap_or(0.0));
     let ended = u64::from(step) >= resolved.steps() || budget > 0.0 && seconds >= budget;
-    ended.then_some(Scored { scores, step })
+    let newest = || checkpoint::load_newest(&folder.checkpoints()).ok()?.checkpoint.meta["step"].as_u64();
+    (ended && newest() == Some(u64::from(step))).then_some(Scored { scores, step })
 }
 
 impl Training {
     /// Goes on with the run of these settings in a folder, up to its own time budget if it has one; begins it if there is
-    /// none, or none that has saved anything. A finished run has nothing left to train.
+    /// none, or none with a checkpoint. A finished run has nothing left to train.
     ///
     /// # Errors
     /// Those of [`Stage::of`], [`Training::begin`] and [`Training::resume`].
     pub fn go_on(root: &Path, resolved: Resolved) -> Result<Self, RunError> {
         match Stage::of(root, &resolved)? {
             Stage::Missing => Self::begin(root, false, resolved),
-            Stage::Begun(0) => Self::begin(root, true, resolved),
+            Stage::Begun(0) => {
+                let mut training = Self::begin(root, true, resolved)?;
+                training.warnings.push("the run in this folder had no checkpoint: it is begun anew".to_owned());
+                Ok(training)
+            }
             _ => {
                 let request = ResumeRequest { image_mib: Some(resolved.run.image_mib), ..ResumeRequest::default() };
                 let resumed = Self::resume(&resolved.registry, root, &request)?;

@@ -1,11 +1,12 @@
 //! A trained scene as one small file: `gs4d export -o NAME.gs4d`, and the older name `gs4d compact`.
 
 use super::eval::SplitName;
+use super::export::to_score;
 use crate::answer::Answer;
 use crate::failure::Failure;
 use crate::global::Global;
 use crate::opening::RunData;
-use crate::output::check_free;
+use crate::output::prepare_file;
 use gs_data::Dataset;
 use gs4d_run::OpenRun;
 use gs4d_run::compact::{Bits, CompactReport, CompactScene, Packing};
@@ -64,8 +65,7 @@ impl Compact {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         self.check_out()?;
         let run = self.place.open(&self.run, global)?;
-        // Opened first, so that nothing is written if the data are missing.
-        let dataset = if self.no_eval { None } else { Some(run.open_data()?) };
+        let dataset = if self.no_eval { None } else { to_score(&run, self.split, None, global)? };
         let before = self.psnr(&run, dataset.as_ref())?;
         let report = self.write(&run, global)?;
         let data = Path::new(&run.resolved.run.data);
@@ -110,7 +110,7 @@ impl Compact {
         if self.out.extension().is_none_or(|e| e != "gs4d") {
             return Err(Failure::usage("the file to write must be named NAME.gs4d, so that the other verbs know it"));
         }
-        check_free(self.force, "file", "name", [&self.out])
+        prepare_file(self.force, &self.out)
     }
 
     /// Mean PSNR on the split, dB; `None` without data or where every view is perfect.

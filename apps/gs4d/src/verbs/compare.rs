@@ -7,7 +7,7 @@ use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
 use crate::opening::{RunData, say_skipped};
-use crate::output::check_free;
+use crate::output::prepare_file;
 use crate::parse;
 use gs_core::io::write_file;
 use gs4d_lab::aligned;
@@ -75,7 +75,7 @@ impl Compare {
     }
 
     fn runs(self, global: &Global) -> Result<Answer, Failure> {
-        check_free(self.force, "file", "name", &self.out)?;
+        self.out.as_deref().map_or(Ok(()), |out| prepare_file(self.force, out))?;
         let mut sides = Vec::new();
         for path in &self.runs {
             let side = Side::open(gs_methods::registry(), path, self.place.data.as_deref())?;

@@ -1,6 +1,6 @@
 //! `gs4d compare methods`: several methods or settings on the same data, with the same seeds and the same time.
 
-use super::jobs::{Jobs, with_missing};
+use super::jobs::{Jobs, ResultFile, check_seeds, with_missing};
 use super::train::time_text;
 use crate::answer::Answer;
 use crate::failure::Failure;
@@ -35,6 +35,11 @@ pub struct ContestVerb {
     trials: Trials,
 }
 
+const TITLE: &str = "Methods compared";
+/// The files of results.
+const FILES: [ResultFile; 3] =
+    [("compare.json", "\"over_seeds\""), ("compare.csv", "entry,steps,seeds"), ("compare.html", TITLE)];
+
 /// Conditions shared by all trials.
 #[derive(clap::Args)]
 pub struct Trials {
@@ -66,6 +71,7 @@ impl Trials {
 
 impl ContestVerb {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+        check_seeds(&self.trials.seeds)?;
         let length = self.trials.length();
         let Self { data, entries, preset, trials: Trials { seeds, sets, out: root, jobs, .. } } = self;
         let contest =
@@ -73,18 +79,23 @@ impl ContestVerb {
         if let Some(list) = jobs.plan(std::slice::from_ref(&contest), global)? {
             return Ok(list);
         }
-        let Results { standings, missing } = jobs.results(&contest, global)?;
-        let json = with_missing(to_json(&standings), &missing);
-        let text = table(&standings);
         let root = &contest.root;
-        create_folder(root)?;
-        let write =
-            |name: &str, content: String| write_file(&root.join(name), true, |out| out.write_all(content.as_bytes()));
-        write("compare.json", format!("{json:#}\n"))?;
-        write("compare.csv", csv(&standings))?;
-        write("compare.html", page(&contest, &standings)?)?;
-        let answer = Answer::new(format!("{text}-> {}\n", root.join("compare.html").display()), json);
-        jobs.judge(answer, missing, global)
+        jobs.check_results(root, &FILES)?;
+        let results = jobs.results(&contest, global)?;
+        let none_stands = results.none_stands();
+        let Results { standings, missing } = results;
+        let json = with_missing(to_json(&standings), &missing);
+        let mut text = String::new();
+        if !none_stands {
+            text.push_str(&table(&standings));
+            create_folder(root)?;
+            let contents = [format!("{json:#}\n"), csv(&standings), page(&contest, &standings)?];
+            for ((name, _), content) in FILES.iter().zip(contents) {
+                write_file(&root.join(name), true, |out| out.write_all(content.as_bytes()))?;
+            }
+            text.push_str(&format!("-> {}\n", root.join("compare.html").display()));
+        }
+        jobs.judge(Answer::new(text, json), missing, global)
     }
 }
 
@@ -140,7 +151,7 @@ fn page(contest: &Contest, standings: &[Standing]) -> Result<String, Failure> {
             + &course
             + &section("Trials", "", &html::table(&["entry", "seed", "run"], &[1], trials));
     let subtitle = format!("{} · seeds {} · preset {}", contest.data.display(), seeds.join(", "), contest.preset);
-    Ok(html::document("Methods compared", &subtitle, &parts))
+    Ok(html::document(TITLE, &subtitle, &parts))
 }
 
 /// One line for each entry: every score as mean and standard deviation over seeds.

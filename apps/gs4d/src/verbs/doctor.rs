@@ -3,7 +3,8 @@
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
-use gs_core::io::{IoError, write_file};
+use crate::output::create_folder;
+use gs_core::io::{IoError, folder_of, write_file};
 use gs_data::DataOptions;
 use gs4d_doctor::{CheckOptions, Checkup, CostOptions, Finding, Verdict, apply, examine_and_tell, is_page, page};
 use gs4d_run::settings::{Request, resolve};
@@ -137,13 +138,13 @@ impl Doctor {
         }))
     }
 
-    /// Refuses, before anything is checked, to write over a file that is no page of the doctor.
+    /// Refuses, before anything is checked, to write over a file that is no page of the doctor; creates the folder that was asked for.
     fn check_page(&self) -> Result<(), Failure> {
         let path = self.page();
-        if self.force || !path.exists() || is_page(path) {
-            return Ok(());
+        if !self.force && path.exists() && !is_page(path) {
+            return Err(IoError::Exists { file: path.display().to_string().into() }.into());
         }
-        Err(IoError::Exists { file: path.display().to_string().into() }.into())
+        self.out.as_deref().map_or(Ok(()), |out| create_folder(folder_of(out)))
     }
 
     fn data_options(&self) -> Result<DataOptions, Failure> {

@@ -233,9 +233,16 @@ impl Eval {
         }
         if let Some(folder) = folder.filter(|_| global.share.leads()) {
             // Scores that cannot be kept are printed all the same.
-            match folder.write(METRICS, &format!("{json:#}\n")) {
-                Ok(()) => text.push_str(&format!("-> {}\n", root.join(METRICS).display())),
-                Err(e) => to_stderr(format_args!("warning: the scores are not kept: {e}")),
+            if !run.trained_on(&dataset) {
+                let (data, kept) = (dataset.root.display(), root.join(METRICS));
+                to_stderr(format_args!(
+                    "warning: the data at {data} are not those that the run knows: {} is left as it is",
+                    kept.display()
+                ));
+            } else if let Err(e) = folder.write_scores(json.clone(), &dataset) {
+                to_stderr(format_args!("warning: the scores are not kept: {e}"));
+            } else {
+                text.push_str(&format!("-> {}\n", root.join(METRICS).display()));
             }
         }
         Ok(Answer::new(text, json))

@@ -13,15 +13,15 @@ use super::eval::SplitName;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
-use crate::opening::RunData;
-use crate::output::{check_free, create_folder};
+use crate::opening::{RunData, note_extrapolated};
+use crate::output::{check_free, create_folder, prepare_file};
 use crate::parse;
 use crate::progress::Progress;
 use glam::DVec3;
 use gs_core::io::{RawSplats, SplatFormat, load_splats, save_splats, upright, write_file};
 use gs_core::rot::Mat3;
 use gs_data::{Dataset, ImageCache};
-use gs_train::evaluate::evaluate_with;
+use gs_train::evaluate::{evaluate_with, split_name};
 use gs_train::timestamp::Timestamp;
 use gs4d_eval::export::{AsExported, Baker, ExportError, cut, mean_up};
 use gs4d_player::Tolerance;
@@ -167,6 +167,17 @@ impl Export {
         self.scene.is_file() && self.scene.extension().is_none_or(|e| e != "gs4d")
     }
 
+    /// Fails if the scene is a splat file.
+    fn needs_run(&self) -> Result<(), Failure> {
+        if !self.is_of_file() {
+            return Ok(());
+        }
+        let (scene, out) = (self.scene.display(), self.out.display());
+        Err(Failure::usage(format!("{scene} is a splat file: {out} can only be made of a run"))
+            .why("a splat file has one moment and no method")
+            .remedy("give a run or a .gs4d file, or write .ply, .splat, .spz or .glb, without --rigid"))
+    }
+
     /// Whether the file to write has that extension.
     fn is_named(&self, extension: &str) -> bool {
         self.out.extension().is_some_and(|e| e == extension)
@@ -174,7 +185,8 @@ impl Export {
 
     /// A page that plays the scene, or a `.4dgs` file of it.
     fn play(self, global: &Global) -> Result<Answer, Failure> {
-        if self.format.is_some() || self.bits.is_some() || self.up.is_some() || self.rigid || self.is_of_file() {
+        self.needs_run()?;
+        if self.format.is_some() || self.bits.is_some() || self.up.is_some() || self.rigid {
             return Err(Failure::usage(
                 ".html and .4dgs files are written of a run, in the axes of its data: without --format, --bits, --up and --rigid",
             ));
@@ -190,12 +202,8 @@ impl Export {
 
     /// Rigid parts in motion.
     fn rigid_parts(self, global: &Global) -> Result<Answer, Failure> {
-        if !self.is_named("glb")
-            || self.is_of_file()
-            || self.format.is_some()
-            || self.tolerance.is_some()
-            || self.bits.is_some()
-        {
+        self.needs_run()?;
+        if !self.is_named("glb") || self.format.is_some() || self.tolerance.is_some() || self.bits.is_some() {
             let of = Failure::usage("--rigid writes one .glb file of a run: without --format, --tolerance and --bits");
             return Err(of.remedy("give a run and -o NAME.glb"));
         }
@@ -207,11 +215,11 @@ impl Export {
         Ok(answer)
     }
 
-    /// What every file in motion is made from; fails if the file exists.
+    /// What every file in motion is made from; fails if the file exists, and creates the folder for it.
     fn motion(self) -> Result<Motion, Failure> {
-        check_free(self.force, "file", "name", [&self.out])?;
-        let Self { scene: run, out, times, sh_degree, split, no_eval, force, place, .. } = self;
-        Ok(Motion { run, out, times: times.map(|t| t.0), sh_degree, split, no_eval, force, place })
+        prepare_file(self.force, &self.out)?;
+        let Self { scene: run, out, times, sh_degree, split, no_eval, max_error, force, place, .. } = self;
+        Ok(Motion { run, out, times: times.map(|t| t.0), sh_degree, split, no_eval, max_error, force, place })
     }
 
     fn whole(self, global: &Global) -> Result<Answer, Failure> {
@@ -224,7 +232,8 @@ impl Export {
             self.tolerance.is_some(),
             self.rigid,
         ];
-        if of_files.contains(&true) || self.is_of_file() {
+        self.needs_run()?;
+        if of_files.contains(&true) {
             return Err(Failure::usage(
                 "a .gs4d file keeps a run whole: without --times, --format, --sh-degree, --up, --tolerance, --rigid and --max-error",
             ));
@@ -262,10 +271,11 @@ impl Export {
         }
     }
 
-    /// Fails if an output exists, before anything is written.
+    /// Fails if an output exists, before anything is written; creates the folder for a single file.
     fn check_free(&self, plan: &Plan) -> Result<(), Failure> {
-        let table = plan.folder.as_ref().map(|f| f.join(TABLE));
-        check_free(self.force, "file", "name", plan.files.iter().map(|f| &f.1).chain(&table))
+        let Some(folder) = &plan.folder else { return prepare_file(self.force, &self.out) };
+        let table = folder.join(TABLE);
+        check_free(self.force, "file", "name", plan.files.iter().map(|f| &f.1).chain([&table]))
     }
 
     /// One splat file as another.
@@ -304,12 +314,8 @@ impl Export {
 
     fn bake(&self, plan: &Plan, global: &Global) -> Result<Answer, Failure> {
         let run = self.place.open(&self.scene, global)?;
-        // Opened first, so that nothing is written if the data are missing.
-        let dataset = if self.no_eval { None } else { Some(run.open_data()?) };
-        if let Some((time, _)) = plan.files.iter().find(|f| !(0.0..=1.0).contains(&f.0)) {
-            global
-                .say(format!("note: time {time} lies outside training (0..1): what is written there is extrapolated"));
-        }
+        let dataset = if self.no_eval { None } else { to_score(&run, self.split, self.max_error, global)? };
+        note_extrapolated(plan.files.iter().map(|f| f.0), &run, global);
         let (method, views) = (&run.loaded.model, run.training_views()?);
         let turn = self.up.map(|up| up.turn(|| mean_up(&views))).transpose()?;
         let baker = || Baker::new(method, &views, self.sh_degree).turned(turn);
@@ -360,6 +366,30 @@ impl Export {
         let read = after.views.iter().filter(|v| files.file_at(v.time).is_some()).count();
         Ok(Loss::of(&before, &after, read))
     }
+}
+
+/// The data that an export is scored on, opened before anything is written; none, with a note, where the split has no views.
+pub(super) fn to_score(
+    run: &OpenRun,
+    split: SplitName,
+    max_error: Option<f64>,
+    global: &Global,
+) -> Result<Option<Dataset>, Failure> {
+    let data = run.open_data()?;
+    if !data.views(split.into()).is_empty() {
+        return Ok(Some(data));
+    }
+    let name = split_name(split.into());
+    if max_error.is_some() {
+        return Err(Failure::new(
+            Class::Data,
+            "data.split",
+            format!("the data have no {name} views to measure --max-error on"),
+        )
+        .remedy("choose another split with --split, for example train"));
+    }
+    global.say(format!("note: nothing is scored, the data have no {name} views; --split chooses others"));
+    Ok(None)
 }
 
 /// The nearest Gaussians to splats with another kernel profile.

@@ -3,7 +3,7 @@
 use crate::answer::{Answer, number};
 use crate::failure::{Class, Failure};
 use crate::global::Global;
-use crate::opening::RunData;
+use crate::opening::{RunData, note_extrapolated};
 use crate::output::{check_free, create_folder};
 use crate::parse;
 use crate::progress::Progress;
@@ -16,7 +16,7 @@ use gs_train::model::Model;
 use gs_train::renderer::Renderer;
 use gs4d_eval::forecast::page::page;
 use gs4d_eval::forecast::physics::Steps;
-use gs4d_eval::forecast::{CameraPath, Clock, Physics, Spacing, TimestampScores, Truth, draw, times};
+use gs4d_eval::forecast::{CameraPath, Clock, MAX_FRAMES, Physics, Spacing, TimestampScores, Truth, draw, times};
 use gs4d_eval::particles::Particles;
 use gs4d_eval::track::{Track, TrackError, TrackReport, follow};
 use gs4d_report::Still;
@@ -49,8 +49,8 @@ pub struct ForecastVerb {
     #[arg(long, value_name = "N", value_parser = parse::not_negative, conflicts_with = "frames")]
     fps: Option<f64>,
     /// So many frames.
-    #[arg(long, value_name = "N")]
-    frames: Option<usize>,
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_FRAMES as i64))]
+    frames: Option<u32>,
     /// Where the camera is: view:NAME (a view of the data), orbit (one turn around the scene), or a file of cameras as for
     /// render, followed one by one [default: the first view of the future, else of the test views].
     #[arg(long, value_name = "FILE|view:NAME|orbit")]
@@ -83,6 +83,9 @@ impl ForecastVerb {
         let (last, interval) = (f64::from(run.loaded.scene.last_time), f64::from(run.loaded.scene.frame_interval));
         let from = self.from.map_or(last, f64::from);
         let times = times(from, f64::from(self.until), self.spacing(clock, interval))?;
+        if run.loaded.model.capabilities().particles.is_none() {
+            note_extrapolated(times.iter().map(|t| gs_core::cast::to_f32(*t)), &run, global);
+        }
         let files: Vec<PathBuf> = times.iter().enumerate().map(|(k, t)| self.out.join(file_name(k, *t))).collect();
         let beside = [FILE, PAGE].map(|name| self.out.join(name));
         check_free(self.force, "frame", "folder", &files)?;
@@ -158,7 +161,7 @@ impl ForecastVerb {
 
     fn spacing(&self, clock: Option<Clock>, interval: f64) -> Spacing {
         match (self.frames, self.fps) {
-            (Some(n), _) => Spacing::Count(n),
+            (Some(n), _) => Spacing::Count(n as usize),
             (None, Some(fps)) => Spacing::Interval(1.0 / (fps * clock.map_or(1.0, |c| c.rate))),
             (None, None) if interval > 0.0 => Spacing::Interval(interval),
             (None, None) => Spacing::Count(1),

@@ -3,7 +3,7 @@
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
-use crate::opening::RunData;
+use crate::opening::{RunData, note_extrapolated};
 use crate::output::{check_free, create_folder};
 use crate::parse;
 use crate::progress::Progress;
@@ -83,6 +83,7 @@ impl From<GlmdError> for Failure {
 impl Glmd {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         let run = self.place.open(&self.run, global)?;
+        note_extrapolated(self.times.0.iter().copied(), &run, global);
         let method = &run.loaded.model;
         let camera = self.camera(&run)?;
         let masks = self.masks(&run)?;

@@ -16,8 +16,8 @@ use gs4d_report::analysis::{Analysis, RenderCost};
 use gs4d_report::inspect::{BlockSummary, SplatSummary, bytes_text};
 use gs4d_report::needs::{needs, neutral_camera};
 use gs4d_report::storage::Storage;
-use gs4d_run::OpenRun;
 use gs4d_run::folder::{JOURNAL, METRICS};
+use gs4d_run::{OpenRun, check_exists};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -43,6 +43,7 @@ pub struct Inspect {
 impl Inspect {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         let path = &self.path;
+        check_exists(path)?;
         if path.is_dir() {
             self.run_folder(path, global)
         } else if path.extension().is_some_and(|e| e == "gs4d") {

@@ -4,12 +4,13 @@ use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::{Global, to_stderr};
 use crate::interrupt;
-use crate::output::check_free;
+use crate::output::{check_free, create_folder};
 use crate::progress::Progress;
-use gs_core::io::write_file;
+use gs_core::io::{folder_of, write_file};
 use gs4d_lab::contest::{Contest, ContestError, Event, Job, Plan, Results, TrialError};
 use gs4d_run::RunError;
 use serde_json::{Value, json};
+use std::fs;
 use std::path::{Path, PathBuf};
 
 /// What is done instead of training.
@@ -19,8 +20,8 @@ pub struct Jobs {
     /// order and at once, and each can be repeated: it goes on with what it has saved, and does nothing when it is done.
     #[arg(long, value_name = "FILE", conflicts_with = "collect")]
     plan: Option<PathBuf>,
-    /// Overwrite an older list of jobs.
-    #[arg(short, long, requires = "plan")]
+    /// Overwrite an older list of jobs, or files in the place of the results that gs4d did not write.
+    #[arg(short, long)]
     force: bool,
     /// Paths in the list as typed, relative to this folder [default: absolute].
     #[arg(long, requires = "plan")]
@@ -34,12 +35,27 @@ pub struct Jobs {
     collect: bool,
 }
 
+/// A file of results: its name, and words that it holds if gs4d wrote it.
+pub type ResultFile = (&'static str, &'static str);
+
 impl Jobs {
+    /// Fails if a file that gs4d did not write is in the place of results, unless forced.
+    pub fn check_results(&self, root: &Path, files: &[ResultFile]) -> Result<(), Failure> {
+        let foreign = files.iter().filter_map(|(name, words)| {
+            let path = root.join(name);
+            let holds_words = || fs::read(&path).is_ok_and(|text| String::from_utf8_lossy(&text).contains(words));
+            (path.exists() && !holds_words()).then_some(path)
+        });
+        check_free(self.force, "file", "folder", foreign)
+            .map_err(|f| f.why("gs4d did not write it, and nothing is overwritten unless asked"))
+    }
+
     /// Writes the list of jobs of these contests, if it is asked for.
     pub fn plan(&self, contests: &[Contest], global: &Global) -> Result<Option<Answer>, Failure> {
         let Some(file) = &self.plan else { return Ok(None) };
         check_free(self.force, "list of jobs", "file", [file])
             .map_err(|f| f.remedy("choose another file, or pass -f"))?;
+        create_folder(folder_of(file))?;
         let plan = self.planned(contests)?;
         let program = self.program.clone() + &flags(global);
         let lines: Vec<String> =
@@ -111,6 +127,16 @@ fn follow(contest: &Contest, global: &Global) -> Result<Result<Results, ContestE
     });
     finish(&mut progress);
     Ok(results)
+}
+
+/// Fails if a seed is given twice.
+pub fn check_seeds(seeds: &[u64]) -> Result<(), Failure> {
+    match seeds.iter().enumerate().find(|(k, seed)| seeds[..*k].contains(seed)) {
+        None => Ok(()),
+        Some((_, seed)) => Err(Failure::usage(format!("the seed {seed} is given twice"))
+            .why("the same training would count as two")
+            .remedy("give distinct --seeds")),
+    }
 }
 
 /// Adds the trials without a result to those of the others.

@@ -7,7 +7,7 @@ use crate::device::DeviceFlag;
 use crate::encoder::Encoder;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
-use crate::opening::RunData;
+use crate::opening::{RunData, note_extrapolated};
 use crate::output::{check_free, create_folder};
 use crate::parse;
 use crate::progress::Progress;
@@ -38,7 +38,7 @@ pub struct Render {
     #[arg(value_name = "SCENE|RUN")]
     scene: PathBuf,
     /// Cameras: INRIA cameras.json, a transforms file, or {width,height,fx,fy,cx,cy,world_to_camera} (name, time optional), one or a list;
-    /// or `dataset:N`, the N-th held-out view of a run's data; `orbit`, once around the scene; `path`, smoothly through a few training
+    /// or `dataset:N`, the N-th test view of a run's data, or training view where there are none; `orbit`, once around the scene; `path`, smoothly through a few training
     /// cameras of a run's data; `path:FILE`, through those of a file.
     #[arg(long, value_name = "FILE|dataset:N|orbit|path|path:FILE")]
     camera: PathBuf,
@@ -77,9 +77,9 @@ pub struct Render {
     /// Y4M: one uncompressed video, video.y4m. MP4: video.mp4 (H.264), by ffmpeg, which must be installed.
     #[arg(long, value_enum, default_value_t = Format::Png)]
     format: Format,
-    /// Frames per second of a video.
-    #[arg(long, default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=1000))]
-    fps: u32,
+    /// Frames per second of a video, for example 25 or 29.97.
+    #[arg(long, default_value_t = 30.0, value_parser = parse::frame_rate)]
+    fps: f64,
     /// Folder for the images; made if missing.
     #[arg(short, long, value_name = "DIR")]
     out: PathBuf,
@@ -183,12 +183,17 @@ pub fn load_splat_file(path: &Path, global: &Global) -> Result<Splats, Failure> 
 
 impl Render {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+        self.check_folder()?;
         if self.format == Format::Mp4 {
             Encoder::find()?;
         }
         let device = self.device.open(global)?;
         let mut scene = self.open(global)?;
-        let cameras = self.sequence(self.cameras(&scene)?)?.into_iter().map(|c| self.framed(c)).collect::<Vec<_>>();
+        let cameras = self.cameras(&scene, global)?;
+        let cameras = self.sequence(cameras)?.into_iter().map(|c| self.framed(c)).collect::<Vec<_>>();
+        if let Scene::Run(run) = &scene {
+            note_extrapolated(cameras.iter().map(|c| self.time_of(c.time)), run, global);
+        }
         if let Some(pixels) = self.static_within {
             global.say(self.leave_at_rest(&mut scene, &cameras, pixels)?);
         }
@@ -273,8 +278,25 @@ impl Render {
         Ok(Scene::File(Box::new(load_splat_file(path, global)?)))
     }
 
+    /// Fails if the folder is named like a file of pictures.
+    fn check_folder(&self) -> Result<(), Failure> {
+        let extension = self.out.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+        let format = match extension.as_str() {
+            "mp4" | "m4v" | "mov" | "mkv" | "webm" | "avi" | "gif" => "mp4",
+            "y4m" | "exr" | "npy" | "png" => extension.as_str(),
+            "jpg" | "jpeg" | "webp" | "bmp" | "tif" | "tiff" => "png",
+            _ => return Ok(()),
+        };
+        if self.out.is_dir() {
+            return Ok(());
+        }
+        let folder = gs4d_run::shell_quoted(self.out.with_extension("").display().to_string());
+        Err(Failure::usage(format!("-o names a folder, and {} is named like a file", self.out.display()))
+            .remedy(format!("-o {folder} --format {format}")))
+    }
+
     /// The cameras that were asked for.
-    fn cameras(&self, scene: &Scene) -> Result<Vec<NamedCamera>, Failure> {
+    fn cameras(&self, scene: &Scene, global: &Global) -> Result<Vec<NamedCamera>, Failure> {
         let name = self.camera.to_string_lossy();
         if name == "orbit" {
             let orbit = scene.orbit()?.ok_or_else(|| {
@@ -297,10 +319,14 @@ impl Render {
             return Ok(load_cameras(&self.camera, &Limits::default())?);
         };
         let dataset = scene.data("--camera dataset:N")?;
-        let held_out = if dataset.test.is_empty() { &dataset.train } else { &dataset.test };
-        let view = number.parse::<usize>().ok().and_then(|n| held_out.get(n));
+        let trains = dataset.test.is_empty();
+        let views = if trains { &dataset.train } else { &dataset.test };
+        let view = number.parse::<usize>().ok().and_then(|n| views.get(n));
         let view =
-            view.ok_or_else(|| Failure::usage(format!("--camera dataset:N: N from 0 to {}", held_out.len() - 1)))?;
+            view.ok_or_else(|| Failure::usage(format!("--camera dataset:N: N from 0 to {}", views.len() - 1)))?;
+        if trains {
+            global.say(format!("note: the data have no test views: {name} is the training view {}", view.name));
+        }
         let View { name, camera, time, .. } = scene.placed().held_out(view);
         Ok(vec![NamedCamera { name, camera, time: Some(time.normalised) }])
     }

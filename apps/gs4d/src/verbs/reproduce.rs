@@ -1,7 +1,7 @@
 //! `gs4d reproduce`: the tables of the papers, run here.
 
 use super::eval::{RangeName, read_lpips};
-use super::jobs::{Jobs, with_missing};
+use super::jobs::{Jobs, ResultFile, check_seeds, with_missing};
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
@@ -68,6 +68,10 @@ pub struct ReproduceVerb {
     check: Option<PathBuf>,
 }
 
+/// The files of results.
+const FILES: [ResultFile; 2] =
+    [("reproduce.json", "\"protocol\""), ("reproduce.html", "less published: the first column")];
+
 impl ReproduceVerb {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         if let Some(root) = &self.check {
@@ -77,6 +81,7 @@ impl ReproduceVerb {
             return list(self.paper.as_deref(), &self.data);
         };
         let table = Table::find(paper, name).map_err(unknown)?;
+        check_seeds(&self.seeds)?;
         let Some(root) = self.out else { return shown(&table, &self.data) };
         let conditions = Conditions {
             data: self.data,
@@ -108,18 +113,24 @@ fn reproduce(
     if let Some(list) = jobs.plan(&contests, global)? {
         return Ok(list);
     }
+    jobs.check_results(root, &FILES)?;
     let mut results: Vec<Results> = contests.iter().map(|c| jobs.results(c, global)).collect::<Result<_, _>>()?;
     if let Some(lpips) = lpips {
         let mut say = |run: &Path| global.say(format!("LPIPS of {}", run.display()));
         Reproduction::score_lpips(&mut results, gs_methods::registry(), lpips, &mut say)?;
     }
+    let none_stands = results.iter().all(Results::none_stands);
     let outcome = reproduction.outcome(&results);
     let missing: Vec<_> = results.into_iter().flat_map(|r| r.missing).collect();
     let json = with_missing(json!(outcome), &missing);
-    for (name, content) in [("reproduce.json", format!("{json:#}\n")), ("reproduce.html", page::html(&outcome))] {
-        write_file(&root.join(name), true, |out| out.write_all(content.as_bytes()))?;
+    let mut text = String::new();
+    if !none_stands {
+        text.push_str(&page::text(&outcome));
+        for ((name, _), content) in FILES.iter().zip([format!("{json:#}\n"), page::html(&outcome)]) {
+            write_file(&root.join(name), true, |out| out.write_all(content.as_bytes()))?;
+        }
+        text.push_str(&format!("-> {}\n", root.join("reproduce.html").display()));
     }
-    let text = format!("{}-> {}\n", page::text(&outcome), root.join("reproduce.html").display());
     jobs.judge(Answer::new(text, json), missing, global)
 }
 

@@ -4,7 +4,7 @@ use super::eval::SplitName;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
-use crate::opening::RunData;
+use crate::opening::{RunData, note_extrapolated};
 use crate::output::{check_free, create_folder};
 use crate::parse;
 use crate::progress::Progress;
@@ -23,6 +23,9 @@ use gs4d_run::OpenRun;
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+
+/// What can be segmented.
+const MOVING: &str = "give a run of a method that deforms or moves its splats, such as trace or defgs";
 
 /// Output folders below `--out`.
 const FOLDERS: [&str; 3] = ["masks", "labels", "overlays"];
@@ -98,8 +101,7 @@ impl From<SegmentError> for Failure {
     fn from(e: SegmentError) -> Self {
         let text = e.to_string();
         match e {
-            SegmentError::NoPaths(_) => Self::new(Class::Data, "segment.paths", text)
-                .remedy("give a run of a method that deforms or moves its splats, such as trace or defgs"),
+            SegmentError::NoPaths(_) => Self::new(Class::Data, "segment.paths", text).remedy(MOVING),
             SegmentError::NoTwists(_) => {
                 Self::new(Class::Usage, "segment.twists", text).remedy("leave --by out, or say --by paths")
             }
@@ -117,6 +119,11 @@ impl Segment {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         let run = self.place.open(&self.run, global)?;
         let dataset = run.open_data()?;
+        if !run.resolved.learns_motion() && dataset.avatar.is_none() {
+            let what = format!("{} has no motion: there are no parts to tell apart", run.loaded.model.name());
+            return Err(Failure::new(Class::Data, "segment.paths", what).remedy(MOVING));
+        }
+        note_extrapolated(self.at, &run, global);
         let split: Split = self.split.into();
         let views = self.limited(dataset.views(split))?;
         let names = stems(&views);

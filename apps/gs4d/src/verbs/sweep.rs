@@ -1,7 +1,7 @@
 //! `gs4d compare settings`: one setting at a time varied around a preset.
 
 use super::contest::Trials;
-use super::jobs::{failure, with_missing};
+use super::jobs::{ResultFile, check_seeds, failure, with_missing};
 use super::train::time_text;
 use crate::answer::Answer;
 use crate::failure::Failure;
@@ -10,10 +10,10 @@ use crate::output::create_folder;
 use gs_core::io::write_file;
 use gs4d_lab::aligned;
 use gs4d_lab::contest::{Contest, Entry, Results};
-use gs4d_lab::sweep::page::page;
+use gs4d_lab::sweep::page::{SUBTITLE, page};
 use gs4d_lab::sweep::{Row, Sweep, Vary, csv};
 use serde_json::json;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Vary settings one at a time around a preset: table, CSV and a chart of quality against bytes
 #[derive(clap::Args)]
@@ -34,8 +34,12 @@ pub struct SweepVerb {
     trials: Trials,
 }
 
+/// The files of results.
+const FILES: [ResultFile; 3] = [("sweep.json", "\"rows\""), ("sweep.csv", "setting,psnr"), ("sweep.html", SUBTITLE)];
+
 impl SweepVerb {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+        check_seeds(&self.trials.seeds)?;
         let length = self.trials.length();
         let Self { data, method, preset, vary, trials: Trials { seeds, sets, out: root, jobs, .. } } = self;
         let title = format!("{method}, preset {preset}");
@@ -45,20 +49,27 @@ impl SweepVerb {
         if let Some(list) = jobs.plan(std::slice::from_ref(&sweep.contest), global)? {
             return Ok(list);
         }
-        let Results { standings, missing } = jobs.results(&sweep.contest, global)?;
+        jobs.check_results(&root, &FILES)?;
+        let results = jobs.results(&sweep.contest, global)?;
+        let none_stands = results.none_stands();
+        let Results { standings, missing } = results;
         let rows = sweep.rows(&standings);
         let json = with_missing(json!({"title": title, "rows": rows}), &missing);
-        let html = page(&title, &rows).map_err(|e| Failure::from(gs4d_run::RunError::from(e)))?;
-        create_folder(&root)?;
-        for (name, content) in [("sweep.json", format!("{json:#}\n")), ("sweep.csv", csv(&rows)), ("sweep.html", html)]
-        {
-            write_file(&root.join(name), true, |out| out.write_all(content.as_bytes()))?;
+        let mut text = String::new();
+        if !none_stands {
+            text.push_str(&table(&rows));
+            let html = page(&title, &rows).map_err(|e| Failure::from(gs4d_run::RunError::from(e)))?;
+            create_folder(&root)?;
+            for ((name, _), content) in FILES.iter().zip([format!("{json:#}\n"), csv(&rows), html]) {
+                write_file(&root.join(name), true, |out| out.write_all(content.as_bytes()))?;
+            }
+            text.push_str(&format!("-> {}\n", root.join("sweep.html").display()));
         }
-        jobs.judge(Answer::new(table(&rows, &root), json), missing, global)
+        jobs.judge(Answer::new(text, json), missing, global)
     }
 }
 
-fn table(rows: &[Row], root: &Path) -> String {
+fn table(rows: &[Row]) -> String {
     let (mut head, mut cells) = Row::table(rows, "-");
     head.push("");
     for (cells, row) in cells.iter_mut().zip(rows) {
@@ -69,6 +80,5 @@ fn table(rows: &[Row], root: &Path) -> String {
     let trained = rows.iter().filter(|r| !r.repeats_preset());
     let seconds: f64 = trained.filter_map(|r| Some(r.seconds? * r.runs.len() as f64)).sum();
     text.push_str(&format!("means over seeds; proxy is not LPIPS; {} of training\n", time_text(seconds)));
-    text.push_str(&format!("-> {}\n", root.join("sweep.html").display()));
     text
 }

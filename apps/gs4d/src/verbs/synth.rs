@@ -16,6 +16,9 @@ use avatar::{AvatarFlags, Shared};
 /// Default image side of fixed cameras, which take many images.
 const FIXED_CAMERA_SIZE: u32 = 100;
 
+/// Flags of scenes with a camera for each view.
+const OF_ONE_CAMERA: [&str; 3] = ["train_views", "val_views", "test_views"];
+
 /// Layout of the dataset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Layout {
@@ -55,13 +58,13 @@ pub struct Synth {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
     cameras: Option<u32>,
     /// Further fixed cameras, whose images are held out for tests.
-    #[arg(long, value_name = "N", default_value_t = SynthOptions::default().held_out, requires = "cameras", value_parser = clap::value_parser!(u32).range(..=1000))]
+    #[arg(long, value_name = "N", default_value_t = SynthOptions::default().held_out, requires = "cameras", conflicts_with_all = OF_ONE_CAMERA, value_parser = clap::value_parser!(u32).range(..=1000))]
     held_out: u32,
     /// Times of the images of fixed cameras, evenly spaced.
-    #[arg(long, value_name = "N", default_value_t = SynthOptions::default().moments, requires = "cameras")]
+    #[arg(long, value_name = "N", default_value_t = SynthOptions::default().moments, requires = "cameras", conflicts_with_all = OF_ONE_CAMERA)]
     moments: u32,
     /// Part of the time that is trained on: later images, of every camera, are for extrapolation (0..1).
-    #[arg(long, value_name = "TIME", default_value_t = SynthOptions::default().boundary, requires = "cameras")]
+    #[arg(long, value_name = "TIME", default_value_t = SynthOptions::default().boundary, requires = "cameras", conflicts_with_all = OF_ONE_CAMERA)]
     boundary: f64,
     /// Seed of the cameras.
     #[arg(long, default_value_t = 0)]

@@ -9,13 +9,14 @@ use crate::opening::say_skipped;
 use crate::progress::{Progress, Waiting};
 use crate::{interrupt, parse};
 use gs_data::Dataset;
+use gs_train::checkpoint;
 use gs_train::evaluate::EvalReport;
 use gs4d_run::config::Source;
 use gs4d_run::opened::metrics_json;
 use gs4d_run::settings::{Request, resolve};
 use gs4d_run::summary::color_name;
 use gs4d_run::training::is_numeric;
-use gs4d_run::{Outcome, Scored, Stage, Training};
+use gs4d_run::{Outcome, RunError, Scored, Stage, Training};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -94,10 +95,17 @@ impl Train {
         if self.go_on
             && let Stage::Finished(scored) = Stage::of(&self.out, &resolved)?
         {
-            global.say(format!("nothing is left to train in {}", self.out.display()));
-            let Scored { scores, step } = *scored;
-            let json = result_json(&scores, step, &self.out, u64::from(step) >= resolved.steps());
-            return Ok(Answer::new(all_scores_text(&scores, step), json));
+            let (Scored { scores, step }, out) = (*scored, self.out.display());
+            let finished = u64::from(step) >= resolved.steps();
+            global.say(match finished {
+                true => format!("nothing is left to train in {out}"),
+                false => format!(
+                    "the time budget of {out} was spent at step {step} of {}; go on: {}",
+                    resolved.steps(),
+                    resume_command(&self.out)
+                ),
+            });
+            return Ok(Answer::new(all_scores_text(&scores, step), result_json(&scores, step, &self.out, finished)));
         }
         let (stop, device) = (interrupt::flag()?, self.device.open_to_train(global)?);
         let training = match self.go_on {
@@ -121,9 +129,9 @@ pub fn carry_on(training: &mut Training, watch: &Watch, stop: &AtomicBool, globa
     let data = training.trainer().dataset();
     let views = data.test.len() + data.extrapolate.len();
     let waiting = Waiting::new(format!("scoring {views} views"), global.quiet);
-    let scores = training.score()?;
+    let scores = training.score().map_err(|e| unscored(training, e))?;
     drop(waiting);
-    training.report(&scores)?;
+    training.report(&scores).map_err(|e| unscored(training, e))?;
     let step = training.trainer().steps_done();
     let json = result_json(&scores, step, &root, outcome == Outcome::Finished);
     let mut text = all_scores_text(&scores, step);
@@ -132,6 +140,15 @@ pub fn carry_on(training: &mut Training, watch: &Watch, stop: &AtomicBool, globa
         text.push_str(&format!("the time budget is spent; go on: {}\n", resume_command(&root)));
     }
     Ok(Answer::new(text, json))
+}
+
+/// The failure of scores or report of a run that is trained and saved: how to go on.
+fn unscored(training: &Training, e: RunError) -> Failure {
+    let failure = Failure::from(e);
+    // Data that are repaired are not those that the run began with.
+    let accept = if failure.class == Class::Data { " --accept-changed-data" } else { "" };
+    let (step, resume) = (training.trainer().steps_done(), resume_command(training.folder().root()));
+    failure.then(format!("the run is saved at step {step}: {resume}{accept} makes its scores and its report"))
 }
 
 /// The scores of a run with its folder, and whether its schedule is done.
@@ -168,10 +185,15 @@ pub fn drive(
         let numeric = is_numeric(&e);
         let failure = Failure::from(e);
         let run = training.folder().root().display();
-        if numeric {
-            failure.remedy(format!("the last checkpoint is good: gs4d inspect {run}; lower the learning rates"))
-        } else {
-            failure
+        let saved = checkpoint::steps_in(&training.folder().checkpoints()).ok().and_then(|steps| steps.first().copied());
+        match saved {
+            _ if !numeric => failure,
+            Some(step) => failure.remedy(format!(
+                "the checkpoint of step {step} is good: gs4d inspect {run}; lower the learning rates"
+            )),
+            None => failure.remedy(
+                "no checkpoint was saved before it: lower the learning rates, or save earlier with --set run.checkpoint_every=N",
+            ),
         }
     })
 }
@@ -237,7 +259,7 @@ pub fn times_text(data: &Dataset) -> String {
 }
 
 fn resume_command(root: &Path) -> String {
-    format!("gs4d resume {}", root.display())
+    format!("gs4d resume {}", gs4d_run::shell_quoted(root.display().to_string()))
 }
 
 /// The scores of a split, then those beyond the last training time where there are any.

@@ -240,13 +240,19 @@ fn pilots_are_planned_first() {
 #[test]
 fn a_failing_trial_leaves_the_table_of_the_others() {
     let desk = Desk::new();
-    // The first needs data of a filmed person.
-    let entries = ["-e", "dut", "-e", "static3d", "--preset", "tiny", "--steps", "4", "--json"];
+    // The folder of the first is taken.
+    fs::create_dir_all(desk.at("out/fourdgs/seed-0")).unwrap();
+    fs::write(desk.at("out/fourdgs/seed-0/notes.txt"), "mine").unwrap();
+    let entries = ["-e", "fourdgs", "-e", "static3d", "--preset", "tiny", "--steps", "4", "--json"];
     let call = gs4d(&[&["contest", text(data()), "-o", text(&desk.at("out"))][..], &entries].concat());
-    assert!(!matches!(call.code, 0 | 7 | 130), "{}", call.code);
-    assert!(call.err.contains("failed: dut / seed-0: ") && call.err.contains("in the trial dut"), "{}", call.err);
+    assert_eq!(call.code, 6, "{}", call.err);
+    assert!(
+        call.err.contains("failed: fourdgs / seed-0: ") && call.err.contains("in the trial fourdgs"),
+        "{}",
+        call.err
+    );
     let json: Value = serde_json::from_str(&call.out).unwrap();
-    assert_eq!(json["missing"][0]["trial"], "dut / seed-0");
+    assert_eq!(json["missing"][0]["trial"], "fourdgs / seed-0");
     assert!(json["entries"][0]["over_seeds"]["psnr"].is_null());
     assert!(json["entries"][1]["over_seeds"]["psnr"]["mean"].as_f64().unwrap() > 5.0, "{json}");
 }
@@ -254,7 +260,7 @@ fn a_failing_trial_leaves_the_table_of_the_others() {
 #[test]
 fn options_of_jobs_belong_together() {
     let base = ["contest", "data", "-e", "static3d", "-o", "out"];
-    for more in [&["--plan", "x", "--collect"][..], &["--relative"], &["-f"], &["--program", "x"]] {
+    for more in [&["--plan", "x", "--collect"][..], &["--relative"], &["--program", "x"]] {
         gs4d(&[&base[..], more].concat()).fails(2, &["--"]);
     }
     gs4d(&["train", "data", "-m", "static3d", "-o", "run", "--continue", "-f"]).fails(2, &["cannot be used with"]);

@@ -54,3 +54,24 @@ fn runs_of_other_data_are_refused() {
     gs4d(&["compare", text(run()), text(&small)]).fails(3, &["no run folder"]);
     gs4d(&["compare", text(run()), text(run()), "--against", "first"]).fails(2, &["--out"]);
 }
+
+#[test]
+fn the_folder_of_a_file_is_made() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = |name: &str| text(&dir.path().join(name).join("new").join(name)).to_owned();
+    let (page, player, splats, scene, jobs) = (out("a.html"), out("b.html"), out("c.ply"), out("d.gs4d"), out("e.txt"));
+    let run = text(run());
+    good(&["compare", run, run, "-o", &page]);
+    good(&["export", run, "-o", &player, "--no-eval", "--times", "0..1:2", "-q"]);
+    good(&["export", run, "-o", &splats, "--no-eval", "-q"]);
+    good(&["export", run, "-o", &scene, "--no-eval", "-q"]);
+    good(&["compare", "methods", text(data()), "-e", "static3d", "-o", &out("trials"), "--plan", &jobs]);
+    for file in [page, player, splats, scene, jobs] {
+        assert!(fs::metadata(&file).is_ok_and(|m| m.len() > 0), "{file}");
+    }
+    // A folder that cannot be made is told before anything is rendered.
+    let below_a_file = dir.path().join("a.html/new/a.html/c.html");
+    let call = gs4d(&["compare", run, run, "-o", text(&below_a_file)]);
+    call.fails(6, &["create the folder", "a.html"]);
+    assert!(!call.err.contains("rendering"), "{}", call.err);
+}

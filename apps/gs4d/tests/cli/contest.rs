@@ -1,6 +1,7 @@
 //! Contests: fair trials, kept once made.
 
 use crate::support::{Call, data, good, gs4d, text};
+use std::fs;
 
 #[test]
 fn trials_are_scored_kept_and_never_mixed_up() {
@@ -51,8 +52,16 @@ fn trials_are_scored_kept_and_never_mixed_up() {
     let again = contest(good, &["--steps", "12", "--seeds", "0,1"]);
     assert!(!again.err.contains("seed-0"), "nothing is trained twice: {}", again.err);
     assert!(again.out.contains("static3d schedule.lambda_dssim=0") && again.out.contains("+0.00"), "{}", again.out);
+    let tables = || ["compare.json", "compare.csv", "compare.html"].map(read);
+    let before = tables();
     let other = contest(gs4d, &["--steps", "13"]);
     assert!(other.code == 6 && other.err.contains("other settings") && other.err.contains("-o"), "{}", other.err);
+    assert!(other.out.is_empty() && tables() == before, "without a trial that stands nothing is written");
+    fs::write(root.join("compare.csv"), "mine").unwrap();
+    contest(gs4d, &["--steps", "12"]).fails(6, &["compare.csv", "gs4d did not write it", "-f"]);
+    assert_eq!(read("compare.csv"), "mine");
+    contest(good, &["--steps", "12", "--seeds", "0,1", "-f"]);
+    assert_eq!(read("compare.csv"), before[1]);
 }
 
 #[test]
@@ -66,5 +75,42 @@ fn bad_entries_are_refused_before_anything_is_trained() {
     with("static3d:quick").fails(2, &["quick", "tiny"]);
     with("static3d nosuch=1").fails(2, &["nosuch"]);
     with("static3d quick").fails(2, &["KEY=VALUE"]);
+    with("dut").fails(2, &["`dut` needs a filmed person"]);
+    let twice = ["compare", "methods", text(data()), "-o", text(&root), "-e", "static3d:tiny", "--seeds", "0,1,0"];
+    gs4d(&twice).fails(2, &["seed 0 is given twice"]);
     assert!(!root.exists());
+}
+
+#[test]
+fn scores_of_other_data_are_neither_kept_nor_taken_for_those_of_a_trial() {
+    let dir = tempfile::tempdir().unwrap();
+    let [own, other, root] = ["own", "other", "contest"].map(|name| dir.path().join(name));
+    let views = ["--size", "32", "--train-views", "4", "--val-views", "0", "--test-views", "2"];
+    good(&[&["synth", "balls", "-o", text(&own)][..], &views].concat());
+    good(&[&["synth", "static", "-o", text(&other)][..], &views].concat());
+    let base = ["compare", "methods", text(&own), "-e", "static3d", "--preset", "tiny", "--steps", "4"];
+    let contest = |call: fn(&[&str]) -> Call| call(&[&base[..], &["-o", text(&root), "--json"]].concat());
+    let first = contest(good).out;
+    let run = root.join("static3d/seed-0");
+    let metrics = || fs::read_to_string(run.join("metrics.json")).unwrap();
+    let before = metrics();
+
+    let call = good(&["eval", text(&run), "--data", text(&other)]);
+    assert!(call.err.contains("are not those that the run knows"), "{}", call.err);
+    assert!(!call.out.contains("-> ") && metrics() == before, "{}", call.out);
+    assert_eq!(contest(good).out, first);
+    // Scores that name other data are made anew.
+    let digest = serde_json::from_str::<serde_json::Value>(&before).unwrap()["data_digest"].clone();
+    fs::write(run.join("metrics.json"), before.replace(digest.as_str().unwrap(), "0123456789abcdef")).unwrap();
+    assert_eq!(contest(good).json()["entries"], serde_json::from_str::<serde_json::Value>(&first).unwrap()["entries"]);
+    assert_eq!(metrics(), before);
+
+    fs::copy(own.join("test/r_000.png"), own.join("test/r_001.png")).unwrap();
+    assert!(good(&["eval", text(&run)]).err.contains("is left as it is"));
+    assert_eq!(metrics(), before);
+    let call = contest(gs4d);
+    let advice = format!("gs4d resume {} --accept-changed-data", run.display());
+    assert!(call.code == 3 && call.err.contains("data.changed") && call.err.contains(&advice), "{}", call.err);
+    good(&["resume", text(&run), "--accept-changed-data", "-q"]);
+    assert_ne!(contest(good).out, first);
 }

@@ -74,9 +74,13 @@ fn the_doctor_comes_again_and_keeps_what_is_not_its_own() {
     assert!(refused.out.is_empty(), "refused before anything is checked");
     assert_eq!(std::fs::read_to_string(&html).unwrap(), "<title>mine</title>");
     // What was found is told even if the page cannot be written.
-    let nowhere = dir.path().join("no/such/folder/page.html");
-    let call = gs4d(&["doctor", text(data()), "--no-cost", "-o", text(&nowhere)]);
+    let deep = dir.path().join("new/folder/page.html");
+    let all = ["doctor", text(data()), "--no-cost", "-o", text(&deep)];
+    let call = Call::of(&command(&all).env(VARIABLE, "2:device").output().unwrap());
     assert!(call.code == 6 && call.out.contains("layout"), "{} {}", call.out, call.err);
+    good(&all);
+    assert!(deep.is_file(), "its folder is made");
+    gs4d(&["doctor", text(data()), "--no-cost", "-o", text(&html.join("page.html"))]).fails(6, &["page.html"]);
 }
 
 /// In a folder where nothing can be written, such as that of the data: a full disk here, since tests may run as root.
@@ -173,7 +177,7 @@ fn points_are_made_once_and_then_begun_with() {
     assert!(fewer.contains("begins with 60 of the 90 points"), "{fewer}");
     good(&[&train[..], &["--set", "init.points=40"]].concat());
     assert!(points(&resolved()).starts_with("40 "), "{}", resolved());
-    gs4d(&["init", text(&folder), "--from", "depth", "-f"]).fails(2, &["no depth"]);
+    gs4d(&["init", text(&folder), "--from", "depth", "-f"]).fails(2, &["no depth", "leave --from out"]);
     gs4d(&["init", text(&folder), "--set", "run.seed=1", "-f"]).fails(2, &["run.seed"]);
     gs4d(&["init", text(&folder), "--bound", "0", "-f"]).fails(2, &["above 0"]);
 }

@@ -185,6 +185,46 @@ fn nothing_is_dropped_or_written_under_an_unknown_name() {
     assert!(!odd.exists());
     let beyond = good(&["export", text(run()), "--times", "1.5", "--no-eval", "-o", text(&dir.path().join("c.ply"))]);
     assert!(beyond.err.contains("extrapolated"), "{}", beyond.err);
+    let page = dir.path().join("c.html");
+    let beyond = good(&["export", text(run()), "--times", "3..9:2", "--no-eval", "-o", text(&page)]);
+    assert!(beyond.err.contains("note: time 3 lies outside training (0..1)"), "{}", beyond.err);
+}
+
+#[test]
+fn data_without_test_views_are_exported_unscored() {
+    let dir = tempfile::tempdir().unwrap();
+    let (data, run) = (dir.path().join("data"), dir.path().join("run"));
+    let views = ["--train-views", "4", "--val-views", "2", "--test-views", "1"];
+    good(&[&["synth", "balls", "-o", text(&data), "--size", "32"][..], &views].concat());
+    fs::remove_file(data.join("transforms_test.json")).unwrap();
+    good(&["train", text(&data), "-m", "fourdgs", "--preset", "tiny", "--steps", "4", "-q", "-o", text(&run)]);
+    for name in ["a.ply", "a.html", "a.gs4d"] {
+        let file = dir.path().join(name);
+        let call = good(&["export", text(&run), "-o", text(&file)]);
+        assert!(file.exists() && call.err.contains("nothing is scored, the data have no test views"), "{}", call.err);
+    }
+    let file = dir.path().join("b.ply");
+    gs4d(&["export", text(&run), "-o", text(&file), "--max-error", "1"]).fails(3, &["no test views", "--split"]);
+    assert!(!file.exists());
+    gs4d(&["eval", text(&run)]).fails(3, &["no test views; they have 4 train views, 2 val views", "--split"]);
+    let drawn = good(&["render", text(&run), "--camera", "dataset:0", "-o", text(&dir.path().join("frames"))]);
+    assert!(drawn.err.contains("dataset:0 is the training view"), "{}", drawn.err);
+    fs::write(data.join("scene.toml"), "[start]\npoints = \"x.ply\"\n").unwrap();
+    gs4d(&["train", text(&data), "-m", "static3d", "-o", text(&run), "-f"])
+        .fails(3, &["x.ply", "[start]", "scene.toml"]);
+}
+
+#[test]
+fn a_splat_file_is_no_run() {
+    let dir = tempfile::tempdir().unwrap();
+    let ply = dir.path().join("a.ply");
+    good(&["export", text(run()), "--no-eval", "-o", text(&ply)]);
+    for name in ["b.html", "b.gs4d", "b.4dgs"] {
+        let out = dir.path().join(name);
+        gs4d(&["export", text(&ply), "-o", text(&out)]).fails(2, &["a.ply is a splat file", "made of a run"]);
+    }
+    gs4d(&["export", text(&ply), "--rigid", "-o", text(&dir.path().join("b.glb"))]).fails(2, &["is a splat file"]);
+    gs4d(&["eval", text(&ply)]).fails(3, &["a.ply is a splat file", "run folder"]);
 }
 
 #[test]

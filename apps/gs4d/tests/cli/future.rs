@@ -113,11 +113,13 @@ fn a_forecast_takes_other_cameras_and_paces() {
         let call = good(&[&base[..], more].concat());
         assert!(call.out.contains(" frames after ") && call.out.contains("render "), "{}", call.out);
         assert!(!call.out.contains("PSNR") && !call.out.contains("learnt motion"), "fourdgs has no particles");
+        assert!(call.err.contains("lies outside training (0..") && call.err.contains("extrapolated"), "{}", call.err);
     }
     let with = |more: &[&str]| gs4d(&[&base[..], more].concat());
     with(&["--camera", "view:nobody"]).fails(3, &["no view is named", "nobody"]);
     with(&["--camera", "nowhere.json"]).fails(6, &["nowhere.json"]);
-    with(&["--frames", "0"]).fails(2, &["not possible"]);
+    with(&["--frames", "0"]).fails(2, &["--frames", "0 is not in"]);
+    with(&["--fps", "0"]).fails(2, &["to 1.5 are not possible", "--fps"]);
     with(&["--from", "2"]).fails(2, &["the end must be later"]);
 }
 

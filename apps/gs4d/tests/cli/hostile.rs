@@ -1,6 +1,6 @@
 //! Inputs that are wrong on purpose: typed errors that name file and field, the right exit code, never a crash.
 
-use crate::support::{CAMERA, data, gs4d, ply, text, tiny_ply};
+use crate::support::{CAMERA, data, good, gs4d, ply, text, tiny_ply};
 use serde_json::{Value, json};
 use std::fs;
 use std::path::Path;
@@ -97,8 +97,37 @@ fn a_run_that_explodes_stops_with_four_and_keeps_its_checkpoint() {
     let base = ["train", text(data()), "-m", "static3d", "--preset", "tiny", "--steps", "60", "-o", text(&out)];
     let sets = ["--set", "schedule.lr.cloud.log_scales.start=1e30", "--set", "schedule.lr.cloud.log_scales.end=1e30"];
     let more = ["--set", "run.checkpoint_every=1", "--quiet"];
-    gs4d(&[&base[..], &sets, &more].concat()).fails(4, &["numeric", "step", "checkpoint"]);
+    let call = gs4d(&[&base[..], &sets, &more].concat());
+    call.fails(4, &["numeric", "step", &format!("is good: gs4d inspect {}", out.display())]);
     assert!(gs_train::checkpoint::load_newest(&out.join("checkpoints")).is_ok());
+
+    let call = gs4d(&[&base[..], &sets, &["--quiet", "-f"]].concat());
+    call.fails(4, &["no checkpoint was saved", "learning rates"]);
+    assert!(!call.err.contains("inspect") && !call.err.contains("last checkpoint"), "{}", call.err);
+    let call = gs4d(&["inspect", text(&out)]);
+    call.fails(3, &["checkpoint.none", "there is no checkpoint in"]);
+    assert!(!call.err.contains("damaged"), "{}", call.err);
+}
+
+#[test]
+fn a_damaged_test_image_costs_no_training() {
+    let dir = tempfile::tempdir().unwrap();
+    let (root, out) = (dir.path().join("data"), dir.path().join("run"));
+    copy_of_data(&root);
+    let image = root.join("test/r_001.png");
+    let whole = fs::read(&image).unwrap();
+    fs::write(&image, &whole[..whole.len() / 2]).unwrap();
+    let base = ["train", text(&root), "-m", "static3d", "--preset", "tiny", "--steps", "3", "-o", text(&out), "-q"];
+    let resume = ["resume", text(&out), "--accept-changed-data", "-q"];
+    let advice = format!("gs4d {}", resume[..3].join(" "));
+    gs4d(&base).fails(3, &["r_001.png", "the run is saved at step 3", &advice]);
+    fs::write(&image, &whole).unwrap();
+    let again = [&base[..], &["--continue"]].concat();
+    gs4d(&again).fails(3, &["data.changed", &advice]);
+    good(&resume);
+    assert!(out.join("metrics.json").is_file() && out.join("report.html").is_file());
+    good(&again);
+    good(&["eval", text(&out)]);
 }
 
 #[test]

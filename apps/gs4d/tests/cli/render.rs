@@ -108,6 +108,31 @@ fn an_unknown_layer_is_answered_with_those_there_are() {
 }
 
 #[test]
+fn what_lies_outside_training_is_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let all = ["render", text(run()), "--camera", "dataset:0", "-f", "-o", text(dir.path())];
+    let said = |more: &[&str]| good(&[&all[..], more].concat()).err;
+    assert!(said(&["--time", "3"]).contains("note: time 3 lies outside training (0..1)"));
+    assert!(said(&["--times", "-5..1:2"]).contains("note: time -5 lies outside training (0..1)"));
+    assert!(!said(&["--time", "1"]).contains("note:"));
+}
+
+#[test]
+fn a_folder_is_not_named_like_a_file() {
+    let dir = tempfile::tempdir().unwrap();
+    let call = |name: &str| gs4d(&["render", text(ply()), "--camera", "orbit", "-o", text(&dir.path().join(name))]);
+    call("video.mp4").fails(2, &["names a folder", "video --format mp4"]);
+    call("a.PNG").fails(2, &["names a folder", "--format png"]);
+    call("a.jpg").fails(2, &["--format png"]);
+    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
+    let v1 = dir.path().join("v1.2");
+    let all = ["render", text(ply()), "--camera", "orbit", "--times", "0..1:2", "--format", "y4m", "--fps", "29.97"];
+    good(&[&all[..], &["-o", text(&v1)]].concat());
+    let video = fs::read(v1.join("video.y4m")).unwrap();
+    assert!(video.windows(11).any(|w| w == b" F29970:100".as_slice()), "29.97 frames per second");
+}
+
+#[test]
 fn nothing_is_overwritten_unasked() {
     let dir = tempfile::tempdir().unwrap();
     let camera = camera(dir.path(), CAMERA);
@@ -305,7 +330,7 @@ fn a_view_of_the_data_is_a_camera_at_any_time() {
     gs4d(&["render", text(run()), "--camera", "dataset:9", "-o", text(dir.path())]).fails(2, &["N from 0 to 1"]);
     gs4d(&["render", text(ply()), "--camera", "dataset:0", "-o", text(dir.path())]).fails(2, &["needs a run"]);
     let around = ["render", text(ply()), "--camera", "orbit", "--times", "0..1:2", "-o", text(dir.path())];
-    good(&around);
+    assert!(!good(&around).err.contains("note:"));
     assert!(dir.path().join("orbit-0001.png").exists());
 }
 

@@ -125,6 +125,94 @@ fn the_image_cache_changes_no_bit_and_is_no_setting_of_the_recipe() {
 }
 
 #[test]
+fn going_on_needs_a_checkpoint_and_says_where_a_budget_ended() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("run");
+    let base = ["train", text(data()), "-m", "static3d", "--preset", "tiny", "--continue", "-o", text(&out)];
+    let short = [&base[..], &["--steps", "6"]].concat();
+    good(&short);
+    assert!(good(&short).err.contains("nothing is left to train"));
+    fs::remove_dir_all(out.join("checkpoints")).unwrap();
+    fs::create_dir(out.join("checkpoints")).unwrap();
+    let again = good(&short).err;
+    assert!(again.contains("had no checkpoint: it is begun anew") && !again.contains("nothing is left"), "{again}");
+    assert_eq!(newest(&out).meta["step"], 6);
+    fs::write(out.join("checkpoints/step-000006.gs4d"), b"rubbish").unwrap();
+    gs4d(&short).fails(3, &["no usable checkpoint", "step-000006.gs4d"]);
+
+    fs::remove_dir_all(&out).unwrap();
+    let long = [&base[..], &["--steps", "4000", "--time-budget", "0.001s"]].concat();
+    good(&long);
+    let step = newest(&out).meta["step"].as_u64().unwrap();
+    let call = good(&long);
+    let words = [format!("spent at step {step} of 4000"), format!("gs4d resume {}", out.display())];
+    assert!(words.iter().all(|w| call.err.contains(w)) && !call.err.contains("nothing is left"), "{}", call.err);
+}
+
+#[test]
+fn settings_that_were_changed_by_hand_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("run");
+    train(data(), &out, &["--time-budget", "0.001s"]);
+    let file = out.join("config.resolved.toml");
+    let written = fs::read_to_string(&file).unwrap();
+    for key in ["seed", "batch", "lambda_dssim"] {
+        let edited = |line: &str| match line.split_once(" = ") {
+            Some((k, _)) if k == key => format!("{key} = {}\n", if key == "lambda_dssim" { "0.9" } else { "4" }),
+            _ => format!("{line}\n"),
+        };
+        let edited: String = written.lines().map(edited).collect();
+        assert_ne!(edited, written, "{key}");
+        fs::write(&file, edited).unwrap();
+        gs4d(&["resume", text(&out)]).fails(3, &["config.resolved.toml was changed", "restore the file", "--config"]);
+    }
+    // What is no setting may change, and --steps lawfully changes what is.
+    fs::write(&file, format!("# a note\n{written}")).unwrap();
+    good(&["resume", text(&out), "--steps", "50", "--time-budget", "0.001s", "--quiet"]);
+    good(&["resume", text(&out), "--quiet"]);
+    assert_eq!(newest(&out).meta["step"].as_u64(), Some(50));
+}
+
+#[test]
+fn motion_is_not_learnt_from_one_image() {
+    let dir = tempfile::tempdir().unwrap();
+    let (one, out) = (dir.path().join("one"), dir.path().join("run"));
+    let views = ["--train-views", "1", "--val-views", "0", "--test-views", "1"];
+    good(&[&["synth", "balls", "-o", text(&one), "--size", "24"][..], &views].concat());
+    let with = |method: &str| {
+        let layout = ["--set", "data.layout=blender"];
+        let all = ["train", text(&one), "-m", method, "--preset", "tiny", "--steps", "2", "-q", "-o", text(&out)];
+        gs4d(&[&all[..], &layout].concat())
+    };
+    with("fourdgs").fails(3, &["one timestamp", "-m static3d"]);
+    assert_eq!(with("static3d").code, 0);
+}
+
+#[test]
+fn where_nothing_is_all_verbs_say_the_same() {
+    let calls: [&[&str]; 7] = [
+        &["inspect", "nowhere"],
+        &["view", "nowhere"],
+        &["eval", "nowhere"],
+        &["resume", "nowhere"],
+        &["compare", "nowhere", "nowhere"],
+        &["render", "nowhere", "--camera", "orbit", "-o", "none"],
+        &["export", "nowhere", "-o", "none.ply"],
+    ];
+    for call in calls {
+        gs4d(call).fails(6, &["error[io.missing]: nowhere: cannot open: "]);
+    }
+}
+
+#[test]
+fn the_command_that_goes_on_can_be_pasted() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("sp ace");
+    let said = train(data(), &out, &["--time-budget", "0.001s"]).out;
+    assert!(said.contains(&format!("gs4d resume '{}'", out.display())), "{said}");
+}
+
+#[test]
 fn a_finished_run_is_lengthened() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("run");

@@ -53,5 +53,8 @@ fn what_cannot_be_segmented_is_refused() {
     let with = |more: &[&str]| gs4d(&[&["segment", text(run()), "-o", text(&out)][..], more].concat());
     with(&["--k", "0"]).fails(2, &["1 to 254"]);
     with(&["--split", "extrapolate"]).fails(3, &["no views"]);
+    let still = dir.path().join("still");
+    good(&["train", text(data()), "-m", "static3d", "--preset", "tiny", "--steps", "2", "-q", "-o", text(&still)]);
+    gs4d(&["segment", text(&still), "-o", text(&out)]).fails(3, &["static3d has no motion"]);
     assert!(!out.exists(), "nothing is made before everything is known");
 }

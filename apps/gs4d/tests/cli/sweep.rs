@@ -18,6 +18,10 @@ fn a_sweep_varies_one_setting_at_a_time() {
     assert!(csv.starts_with("setting,psnr") && csv.lines().count() == 5, "{csv}");
     assert!(fs::read_to_string(root.join("sweep.html")).unwrap().contains("<svg"));
     assert!(root.join("sweep.json").is_file() && root.join("static3d/seed-0/metrics.json").is_file());
+    let files = || ["sweep.json", "sweep.csv", "sweep.html"].map(|name| fs::read(root.join(name)).unwrap());
+    let before = files();
+    let other = gs4d(&[&base[..], &vary, &["--set", "run.log_every=3"]].concat());
+    assert!(other.code == 6 && other.out.is_empty() && files() == before, "{}{}", other.out, other.err);
     let again = good(&[&base[..], &vary].concat());
     assert!(!again.err.contains("seed-0") && again.out.contains("init.points=400"), "{}{}", again.err, again.out);
 }
@@ -31,5 +35,8 @@ fn bad_sweeps_are_refused_before_anything_is_trained() {
     with("init.points=1|1").fails(2, &["given twice"]);
     with("no.such=1").fails(2, &["no.such"]);
     gs4d(&["sweep", text(data()), "-m", "static3d", "-o", text(&root)]).fails(2, &["--vary"]);
+    let vary = ["--vary", "init.points=50|60", "--seeds", "3,3"];
+    gs4d(&[&["sweep", text(data()), "-m", "static3d", "-o", text(&root)][..], &vary].concat())
+        .fails(2, &["seed 3 is given twice"]);
     assert!(!root.exists());
 }

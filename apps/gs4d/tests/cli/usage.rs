@@ -18,6 +18,22 @@ fn wrong_use_exits_with_two() {
     assert!(good(&["--help"]).out.contains("Exit codes"));
 }
 
+/// A negative number is refused as a value, not taken for a flag.
+#[test]
+fn negative_numbers_are_values() {
+    let calls: [&[&str]; 4] = [
+        &["train", "data", "-o", "out", "--steps", "-1"],
+        &["train", "data", "-o", "out", "--seed", "-1"],
+        &["export", "run", "-o", "a.html", "--tolerance", "-1"],
+        &["compare", "methods", "data", "-o", "out", "--steps", "-1"],
+    ];
+    for call in calls {
+        let call = gs4d(call);
+        call.fails(2, &["invalid value '-1'"]);
+        assert!(!call.err.contains("-- -1"), "{}", call.err);
+    }
+}
+
 #[test]
 fn methods_and_settings_are_listed() {
     let methods = good(&["methods", "--json"]).json();
@@ -120,6 +136,11 @@ fn cameras_at_rest_have_a_future() {
     let rest = dir.path().join("rest");
     gs4d(&["synth", "falling", "-o", text(&rest), "--cameras", "2", "--train-views", "9"]).fails(2, &["--train-views"]);
     gs4d(&["synth", "falling", "-o", text(&rest), "--boundary", "0.5"]).fails(2, &["--cameras"]);
+    for flag in [["--boundary", "0.5"], ["--held-out", "1"], ["--moments", "3"]] {
+        let views = ["--train-views", "4", flag[0], flag[1]];
+        gs4d(&[&["synth", "falling", "-o", text(&rest)][..], &views].concat())
+            .fails(2, &[flag[0], "cannot be used with"]);
+    }
     gs4d(&["synth", "falling", "-o", text(&rest), "--cameras", "2", "--boundary", "0"])
         .fails(2, &["boundary", "above 0"]);
 }

@@ -3,10 +3,11 @@
 
 use super::super::eval::SplitName;
 use super::loss::Loss;
+use super::to_score;
 use crate::answer::Answer;
 use crate::failure::Failure;
 use crate::global::Global;
-use crate::opening::RunData;
+use crate::opening::{RunData, note_extrapolated};
 use gs_core::Splats;
 use gs_core::io::{read_file, write_file};
 use gs_data::{Dataset, View};
@@ -30,6 +31,7 @@ pub(super) struct Motion {
     pub sh_degree: Option<u8>,
     pub split: SplitName,
     pub no_eval: bool,
+    pub max_error: Option<f64>,
     pub force: bool,
     pub place: RunData,
 }
@@ -61,11 +63,12 @@ impl Motion {
     /// Opens the run, and its data where they are needed: nothing is written if they are missing.
     pub fn open(&self, global: &Global) -> Result<Source, Failure> {
         let run = self.place.open(&self.run, global)?;
-        let dataset = if self.no_eval { None } else { Some(run.open_data()?) };
+        let dataset = if self.no_eval { None } else { to_score(&run, self.split, self.max_error, global)? };
         let (views, kept) = (run.training_views()?, run.kept().unwrap_or_default());
         let mut times = self.times.clone().unwrap_or_else(|| frame_times(&kept.times));
         times.sort_by(f32::total_cmp);
         times.dedup();
+        note_extrapolated(times.iter().copied(), &run, global);
         Ok(Source { run, dataset, views, kept, times })
     }
 
