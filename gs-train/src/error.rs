@@ -112,7 +112,7 @@ pub struct ScheduleError {
 
 /// Ranks that cannot talk to each other.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("ranks cannot talk to each other: {what}; the last checkpoint is good, resume from it")]
+#[error("ranks cannot talk to each other: {what}; resume from the last checkpoint, if one was saved")]
 pub struct RanksError {
     /// What was noticed.
     pub what: String,

@@ -234,7 +234,7 @@ impl From<TrainError> for Failure {
                 .remedy("resume with the data and the version the run began with"),
             TrainError::Rank { code, .. } => Self::new(Class::of_code(code), "rank", e.to_string())
                 .why("all ranks make every step together")
-                .remedy("see that every machine reads the same data at the same path; the last checkpoint is good"),
+                .remedy("see that every machine reads the same data at the same path, and resume from the last checkpoint, if one was saved"),
             TrainError::Ranks(_) => Self::new(Class::Io, "ranks", e.to_string()),
             TrainError::Diverged { .. } => Self::new(Class::Internal, "ranks.diverged", e.to_string()),
             TrainError::Finished(_) => {

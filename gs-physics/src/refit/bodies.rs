@@ -35,7 +35,7 @@ pub struct Bodies {
 }
 
 impl Bodies {
-    /// Finds bodies by the twists that particles have at `τ = 0`, and fits a path to each. A particle follows the body that
+    /// Finds bodies by the twists that particles have at the latest time, and fits a path to each. A particle follows the body that
     /// explains its velocities best, if it is no more off than others of that body are. `weights` (opacities): one per particle.
     pub fn fit(tracks: &Tracks, weights: &[f32]) -> Self {
         let n = weights.len();

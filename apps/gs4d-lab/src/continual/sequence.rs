@@ -31,7 +31,13 @@ impl Sequence {
         let rounds = plan.rounds.plan(&times)?;
         let Some(last) = rounds.last() else { return Err(RunError::Rounds("there is no round".into())) };
         let first = bounded(&resolved, last.last)?;
-        let (after, whole) = (later(&first, &plan.later_sets)?, first.open_data()?);
+        let (after, mut whole) = (later(&first, &plan.later_sets)?, first.open_data()?);
+        if whole.points.is_some()
+            && let Some(round) = rounds.first()
+        {
+            // The first cloud knows nothing of later rounds.
+            whole.points = bounded(&resolved, round.last)?.open_data()?.points;
+        }
         let steps = u32::try_from(first.steps()).unwrap_or(u32::MAX);
         let next = |end: &u32| Some(end.saturating_add(plan.later_steps));
         let ends = std::iter::successors(Some(steps), next).take(rounds.len()).collect();
