@@ -205,7 +205,7 @@ impl Scene<'_> {
 }
 
 /// The (upper) median; zero for no values.
-fn median(mut values: Vec<f64>) -> f64 {
+pub(crate) fn median(mut values: Vec<f64>) -> f64 {
     let rank = values.len() / 2;
     match values.is_empty() {
         true => 0.0,

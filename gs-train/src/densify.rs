@@ -376,7 +376,6 @@ fn place_child(cloud: &mut Cloud, row: usize, factor: f32, rng: &mut Rng) {
     }
 }
 
-/// Every splat as it is.
 impl Plan {
     /// The same growth of `n` splats, of which only those that are replaced by children go.
     fn without_pruning(mut self, n: usize) -> Self {

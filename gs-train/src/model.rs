@@ -218,9 +218,7 @@ impl Model {
 
     /// Number of values of all blocks.
     pub fn param_count(&self) -> usize {
-        let mut count = 0;
-        self.visit(&mut |p| count += p.len());
-        count
+        Params::param_count(self)
     }
 
     fn with(&self, method: Box<dyn Method>) -> Self {

@@ -407,10 +407,8 @@ impl Schedule {
             }
             let decays = rate.steps > 0 && rate.start > 0.0;
             need(rate.end > 0.0 || !decays, &format!("lr.{name}.end"), 0.0, "above 0 (the decay is log-linear)")?;
-            let eps = rate.eps;
-            need((0.0..1.0).contains(&eps), &format!("lr.{name}.eps"), eps.into(), "0 or more, below 1")?;
-            let decay = rate.weight_decay;
-            need((0.0..=1.0).contains(&decay), &format!("lr.{name}.weight_decay"), decay.into(), "0 to 1")?;
+            need((0.0..1.0).contains(&rate.eps), &format!("lr.{name}.eps"), rate.eps.into(), "0 or more, below 1")?;
+            need(share(rate.weight_decay), &format!("lr.{name}.weight_decay"), rate.weight_decay.into(), "0 to 1")?;
         }
         self.density.check()
     }

@@ -1,6 +1,7 @@
 //! What is seen of a body: at every time the centroid of its particles and the twist they have in common.
 
 use super::Tracks;
+use crate::groups::median;
 use crate::segment::TwistSums;
 use glam::DVec3;
 
@@ -107,9 +108,4 @@ fn of_particles(all: &[Common]) -> Vec<f64> {
 
 fn weighted(weights: &[f64], values: &mut dyn Iterator<Item = f64>) -> f64 {
     values.zip(weights).map(|(v, w)| v * w).sum::<f64>() / weights.iter().sum::<f64>()
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    let rank = values.len() / 2;
-    *values.select_nth_unstable_by(rank, f64::total_cmp).1
 }

@@ -315,7 +315,7 @@ impl DeviceSteps for Steps {
         let (need, allowed) = (largest_array(cloud.cloud, field), self.gpu.largest_array());
         if need > allowed {
             let [need, allowed] = [need.div_ceil(1 << 20), allowed >> 20];
-            return Some(format!("its moments take {need} MiB in one buffer, and the device allows {allowed}"));
+            return Some(format!("Adam's moments take {need} MiB in one buffer, and the device allows {allowed}"));
         }
         field.and_then(Known::lacks)
     }

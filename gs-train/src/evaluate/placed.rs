@@ -18,9 +18,9 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// How held-out cameras are placed, in words.
-const PLACED: &str = "training cameras were refined; held-out cameras that are not among them are placed anew (pose, clock \
-                          or both, as was learnt) by 100 steps on the squared error of their own images, the scene at rest, \
-                          before they are scored";
+const PLACED: &str = "training cameras were refined; held-out cameras that are not among them are placed anew (pose, clock or both, \
+                      as was learnt; a camera whose other images trained keeps its clock) by 100 steps on the squared error \
+                      of their own images, the scene at rest, before they are scored";
 
 /// Steps of a camera.
 const STEPS: i32 = 100;
@@ -126,7 +126,7 @@ struct Placing<'a> {
     learnt: &'a [Correction],
     /// [`KnownCamera::clock`].
     clock: f64,
-    /// The offset of the camera's clock where training views of the same camera have told it; it stays as it is.
+    /// The offset of the camera's clock that training views of the same camera have given; it stays as it is.
     time: Option<f32>,
 }
 

@@ -147,6 +147,6 @@ fn a_state_too_large_for_a_buffer_stays_on_the_host() {
         "init = { from = \"random\", points = 300000 }\ncloud.sh_degree = 3\nschedule.density.max_splats = 300000";
     let trainer = start("static3d", &[many]).on(&gs_train_gpu::device(&gpu)).expect("a device");
     let why = trainer.device_lacks().expect("a reason");
-    assert!(why.starts_with("its moments take 136 MiB in one buffer, and the device allows 128"), "{why}");
+    assert!(why.starts_with("Adam's moments take 136 MiB in one buffer, and the device allows 128"), "{why}");
     after(trainer, 1);
 }

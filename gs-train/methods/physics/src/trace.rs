@@ -108,7 +108,7 @@ impl<F> Config<F> {
             ("physics", |c| (c.law.form, c.physics.refit) = (LawForm::Free, false)),
             ("equivalent", |c| {
                 // The gain counts for velocities; it would multiply the centre, too.
-                (c.law.form, c.law.gain) = (LawForm::Centre15, 1.0);
+                (c.law.form, c.law.gain, c.physics.refit) = (LawForm::Centre15, 1.0, false);
             }),
         ]
     }

@@ -156,7 +156,7 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
             let (canonical, from) = (self.canonical.activated(), self.first_ahead());
             let begin = self.deformed(canonical.geometry(), from);
             let middle = self.start(&canonical, &begin.means, from).middle;
-            let refit = self.config.refit && self.config.field;
+            let refit = self.config.refit && self.config.field && self.dynamics.motion_rollout().is_some();
             let tracks = refit.then(|| self.tracks(&canonical));
             Future::new(begin, &canonical.opacities, from, middle, tracks.as_ref(), &self.dynamics, self.tolerance)
         }))

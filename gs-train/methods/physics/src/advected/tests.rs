@@ -162,6 +162,11 @@ fn training_reads_the_field_on_either_side_and_never_past_its_end() {
         );
     }
     assert!(sides.iter().all(|n| *n > 25), "{sides:?}");
+    let alike = (200..400).filter(|step| {
+        begin(&mut m, *step);
+        m.training_span(0.3, 0) == m.training_span(0.3, 1)
+    });
+    assert!((50..150).contains(&alike.count()), "each view of a step draws for itself");
     let still = |t| m.training_span(t, 0).from == t;
     assert!(still(0.0) && still(0.09) && !still(0.11));
     assert!((m.training_span(0.75, 0).from - 0.6).abs() < 1e-7);
