@@ -137,14 +137,16 @@ pub(crate) struct Session {
     pub(crate) warnings: Vec<String>,
 }
 
-/// Compares data and machine with those of the last session of a run, which goes on from a step with the settings of `config`.
+/// Compares data and machine with those of the last session of a run, which goes on from a step with the second of these settings; the
+/// first are those in its folder.
 ///
 /// # Errors
 /// [`RunError::DataChanged`] if the data are not those that the run was trained on last, unless that is accepted.
 pub(crate) fn resumed(
     folder: &RunFolder,
     dataset: &Dataset,
-    (step, config): (u32, &str),
+    step: u32,
+    [before, config]: [&str; 2],
     accept_changed_data: bool,
 ) -> Result<Session, RunError> {
     // A run whose provenance was lost can go on; there is nothing to compare with.
@@ -169,6 +171,10 @@ pub(crate) fn resumed(
         ));
     }
     if let Some(map) = provenance.as_object_mut() {
+        // Older runs do not say which they are. A session that ends before it has written its own leaves these in place.
+        if map.get("settings").is_none_or(Value::is_null) {
+            map.insert("settings".to_owned(), json!(settings(before)));
+        }
         let sessions = map.entry("resumed").or_insert_with(|| json!([]));
         let session = json!({
             "step": step, "at": now_utc(), "machine": machine, "settings": settings(config), "digest": digest, "details": details,

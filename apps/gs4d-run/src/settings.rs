@@ -12,7 +12,7 @@ pub use lengthen::lengthen;
 use super::RunError;
 use crate::config::{Config, ConfigError, Source};
 use gs_core::io::{Limits, read_text};
-use gs_data::{DataOptions, Dataset, ImageCache};
+use gs_data::{DataError, DataOptions, Dataset, ImageCache};
 use gs_train::domains::{self, Domain, STEPS, Scaling, within};
 use gs_train::registry::{Registry, section};
 use gs_train::timeline::Timeline;
@@ -271,14 +271,22 @@ impl Resolved {
         Self::of(&self.registry, config)
     }
 
-    /// The data set of a run that was made before.
+    /// The data set of a run that was made before. Options without effect on its data, which a new run may not have, are passed over.
     ///
     /// # Errors
     /// [`RunError::DataGone`] if there is no such folder; those of its reader.
     pub fn reopen_data(&self) -> Result<Dataset, RunError> {
-        match Path::new(&self.run.data) {
-            path if path.is_dir() => self.open_data(),
-            path => Err(RunError::DataGone { path: path.to_owned() }),
+        let path = Path::new(&self.run.data);
+        if !path.is_dir() {
+            return Err(RunError::DataGone { path: path.to_owned() });
+        }
+        let mut options = self.data.clone();
+        loop {
+            match Dataset::open(path, &options) {
+                Err(DataError::Idle { name: "data.fps", .. }) if options.fps.is_some() => options.fps = None,
+                Err(DataError::Idle { name: "data.images", .. }) if options.images.is_some() => options.images = None,
+                dataset => return Ok(dataset?),
+            }
         }
     }
 

@@ -169,9 +169,9 @@ impl Training {
             return Err(RunError::InRounds { path: root.to_owned(), command });
         }
         let newest = checkpoint::load_newest(&folder.checkpoints())?;
-        let mut config = folder.read(folder::CONFIG)?;
-        let mut resolved = Resolved::read(registry, &config, folder::CONFIG)?;
-        provenance::check_settings(&folder, &config)?;
+        let before = folder.read(folder::CONFIG)?;
+        let mut resolved = Resolved::read(registry, &before, folder::CONFIG)?;
+        provenance::check_settings(&folder, &before)?;
         check_method(&newest, &resolved)?;
         if let Some(data) = &request.data {
             resolved = resolved.with_data(data)?;
@@ -185,10 +185,8 @@ impl Training {
         }
         let dataset = Arc::new(resolved.reopen_data()?);
         let changed = request.steps.is_some() || request.data.is_some() || request.image_mib.is_some();
-        if changed {
-            config = resolved.to_toml()?;
-        }
-        let session = provenance::resumed(&folder, &dataset, (done, &config), request.accept_changed_data)?;
+        let config = if changed { resolved.to_toml()? } else { before.clone() };
+        let session = provenance::resumed(&folder, &dataset, done, [&before, &config], request.accept_changed_data)?;
         let bytes = resolved.run.image_bytes();
         let trainer = Trainer::resume(registry, dataset, &newest.checkpoint, Some(&resolved.method), bytes)?;
         // First what the settings are compared with.

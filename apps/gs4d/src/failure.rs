@@ -185,8 +185,8 @@ impl From<CheckpointError> for Failure {
             && skipped.is_empty()
         {
             return Self::new(Class::Data, "checkpoint.none", format!("there is no checkpoint in {}", dir.display()))
-                .why("the run has saved nothing yet")
-                .remedy("begin it anew: gs4d train with --continue or -f");
+                .why("nothing can be rendered or gone on with")
+                .remedy("bring it back if there was one, or begin the run anew: gs4d train with -f");
         }
         let (class, id, remedy) = match &e {
             CheckpointError::Io { .. } | CheckpointError::Write(_) => {

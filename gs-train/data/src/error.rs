@@ -242,6 +242,16 @@ pub enum DataError {
         /// The values allowed, as text.
         rule: String,
     },
+    /// An option that has no effect on these data.
+    #[error("{name} = {value} has no effect: {rule}")]
+    Idle {
+        /// Name of the option, for example `data.fps`.
+        name: &'static str,
+        /// The value given, as text.
+        value: String,
+        /// Why it has none, as text.
+        rule: String,
+    },
 }
 
 fn missing_headline(missing: &[PathBuf], total: usize) -> String {
@@ -275,14 +285,14 @@ impl DataError {
             Self::Character { .. } => "data.character",
             Self::ImageSize { .. } => "data.image_size",
             Self::Empty { .. } => "data.empty",
-            Self::Option { .. } => "data.option",
+            Self::Option { .. } | Self::Idle { .. } => "data.option",
         }
     }
 
     /// Exit code for a command line: 2 usage, 3 data, 5 limit, 6 input and output.
     pub fn exit_code(&self) -> u8 {
         match self {
-            Self::Option { .. } => 2,
+            Self::Option { .. } | Self::Idle { .. } => 2,
             Self::TooLarge { .. } => 5,
             Self::Read { .. } | Self::Write { .. } | Self::Occupied { .. } => 6,
             _ => 3,
@@ -312,7 +322,8 @@ impl DataError {
             | Self::Layout { .. }
             | Self::Occupied { .. }
             | Self::Video { .. }
-            | Self::Option { .. } => None,
+            | Self::Option { .. }
+            | Self::Idle { .. } => None,
         }
     }
 
@@ -337,7 +348,7 @@ impl DataError {
             Self::Character { .. } => "the scene's poses are those of this template",
             Self::ImageSize { .. } => "focal lengths and principal point are in pixels of the camera's size",
             Self::Empty { .. } => "there is nothing to learn from",
-            Self::Option { .. } => "the value has no meaning here",
+            Self::Option { .. } | Self::Idle { .. } => "the value has no meaning here",
         }
     }
 
@@ -372,7 +383,7 @@ impl DataError {
             Self::ImageSize { .. } => "resize the image, or correct w and h in the camera file".into(),
             Self::Empty { .. } => "list at least one training view whose image exists".into(),
             Self::Option { name: "--from", .. } => "leave --from out, or name another source".into(),
-            Self::Option { name: name @ ("data.images" | "data.fps"), .. } => format!("leave {name} out"),
+            Self::Idle { name, .. } => format!("leave {name} out"),
             Self::Option { rule, .. } => format!("give a value that fits: {rule}"),
         }
     }

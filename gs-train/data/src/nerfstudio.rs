@@ -219,10 +219,13 @@ fn read_frame(
     let place = frame.place("transform_matrix");
     let file = |key: &'static str| frame.text(key)?.map(|m| root.resolve(m, &frame.place(key))).transpose();
     let stated = PartialIntrinsics::read(frame, shared.fisheye)?.or(shared);
-    if images.is_some() && stated.counts_pixels() && stated.size.contains(&None) {
+    if images.is_some_and(|folder| folder.trim_end_matches('/') != "images")
+        && stated.counts_pixels()
+        && stated.size.contains(&None)
+    {
         return Err(DataError::Field {
             place: frame.place("w"),
-            value: "or h missing".into(),
+            value: "missing, or h is".into(),
             why: "the images that data.images names may have another size than the focal length is stated for",
             fix: "add w and h",
         });

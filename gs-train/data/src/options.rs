@@ -221,24 +221,24 @@ impl DataOptions {
     /// Refuses `data.images` in a layout without a choice of image folders.
     ///
     /// # Errors
-    /// `data.option`.
+    /// [`DataError::Idle`].
     pub(crate) fn without_images(&self, layout: &str) -> Result<(), DataError> {
         let Some(value) = self.images.clone() else { return Ok(()) };
         let rule = format!("the layout {layout} has no choice of image folders");
-        Err(DataError::Option { name: "data.images", value, rule })
+        Err(DataError::Idle { name: "data.images", value, rule })
     }
 
     /// Refuses `data.fps` where times come from files that count no frames.
     ///
     /// # Errors
-    /// `data.option`.
+    /// [`DataError::Idle`].
     pub(crate) fn without_fps(&self, layout: &str) -> Result<(), DataError> {
         let Some(fps) = self.fps.filter(|_| self.time_from == TimeFrom::File) else { return Ok(()) };
         let rule = format!(
             "the files of the layout {layout} count no frames; data.time_from=name or order counts, data.time_range \
              scales times of files"
         );
-        Err(DataError::Option { name: "data.fps", value: fps.to_string(), rule })
+        Err(DataError::Idle { name: "data.fps", value: fps.to_string(), rule })
     }
 }
 

@@ -103,8 +103,7 @@ impl Dataset {
     fn start_from(&self, source: StartFrom, n: usize, seed: u64) -> Result<Option<PointCloud>, DataError> {
         match source {
             StartFrom::Colmap => {
-                let beside = || colmap::points_beside(&self.root);
-                let points = if self.points.is_some() { self.points.clone() } else { beside()? };
+                let points = if self.points.is_some() { self.points.clone() } else { colmap::points_beside(self)? };
                 let seen = points.filter(|p| self.seen_share(&p.positions) >= MIN_VISIBLE);
                 Ok(seen.map(|p| super::initial::subset(&p, n, seed)))
             }

@@ -56,8 +56,8 @@ impl Stage {
     }
 }
 
-/// The scores of a run at the end of its training, whose checkpoint is there. `gs4d eval` may have scored an earlier step; those of
-/// other data than the run was trained on last do not count.
+/// The scores of a run at the end of its training; they stand without its checkpoints. `gs4d eval` may have scored an earlier step;
+/// scores of other data than the run was trained on last do not count.
 fn scored(folder: &RunFolder, resolved: &Resolved) -> Option<Scored> {
     let json: Value = serde_json::from_str(&folder.read(METRICS).ok()?).ok()?;
     let step = u32::try_from(json["step"].as_u64()?).ok()?;
@@ -68,20 +68,19 @@ fn scored(folder: &RunFolder, resolved: &Resolved) -> Option<Scored> {
     let scores: EvalReport = serde_json::from_value(json).ok()?;
     let (budget, seconds) = (resolved.run.time_budget, scores.train_seconds.unwrap_or(0.0));
     let ended = u64::from(step) >= resolved.steps() || budget > 0.0 && seconds >= budget;
-    let newest = || checkpoint::load_newest(&folder.checkpoints()).ok()?.checkpoint.meta["step"].as_u64();
-    (ended && newest() == Some(u64::from(step))).then_some(Scored { scores, step })
+    ended.then_some(Scored { scores, step })
 }
 
 impl Training {
     /// Goes on with the run of these settings in a folder, up to its own time budget if it has one; begins it if there is
-    /// none, or none with a checkpoint. A finished run has nothing left to train.
+    /// none, or none with a checkpoint or scores. A finished run has nothing left to train.
     ///
     /// # Errors
     /// Those of [`Stage::of`], [`Training::begin`] and [`Training::resume`].
     pub fn go_on(root: &Path, resolved: Resolved) -> Result<Self, RunError> {
         match Stage::of(root, &resolved)? {
             Stage::Missing => Self::begin(root, false, resolved),
-            Stage::Begun(0) => {
+            Stage::Begun(0) if !root.join(METRICS).exists() => {
                 let mut training = Self::begin(root, true, resolved)?;
                 training.warnings.push("the run in this folder had no checkpoint: it is begun anew".to_owned());
                 Ok(training)

@@ -16,7 +16,7 @@ use gs4d_run::opened::metrics_json;
 use gs4d_run::settings::{Request, resolve};
 use gs4d_run::summary::color_name;
 use gs4d_run::training::is_numeric;
-use gs4d_run::{Outcome, RunError, Scored, Stage, Training};
+use gs4d_run::{Outcome, RunError, RunFolder, Scored, Stage, Training};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -95,6 +95,8 @@ impl Train {
         if self.go_on
             && let Stage::Finished(scored) = Stage::of(&self.out, &resolved)?
         {
+            // Scores stand without checkpoints, but then nothing can be looked at or gone on with.
+            checkpoint::load_newest(&RunFolder::open(&self.out)?.checkpoints())?;
             let (Scored { scores, step }, out) = (*scored, self.out.display());
             let finished = u64::from(step) >= resolved.steps();
             global.say(match finished {

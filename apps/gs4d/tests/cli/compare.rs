@@ -69,7 +69,7 @@ fn the_folder_of_a_file_is_made() {
     for file in [page, player, splats, scene, jobs] {
         assert!(fs::metadata(&file).is_ok_and(|m| m.len() > 0), "{file}");
     }
-    // A folder that cannot be made is told before anything is rendered.
+    // A folder that cannot be made is an error before anything is rendered.
     let below_a_file = dir.path().join("a.html/new/a.html/c.html");
     let call = gs4d(&["compare", run, run, "-o", text(&below_a_file)]);
     call.fails(6, &["create the folder", "a.html"]);

@@ -7,6 +7,7 @@
 //! (`numbered.rs`), with a note.
 
 use std::collections::BTreeMap;
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use glam::{DVec2, DVec3};
@@ -145,8 +146,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let model = Model::read(dir, &MODEL_FOLDERS)?;
     let (drafts, has_alpha, ids) = model.drafts(&root, &IMAGE_FOLDERS, options, &mut notes)?;
     let settled = settle(drafts, options, None)?;
-    let points =
-        model.points.map(|points| known(&points, &settled, &ids, &mut notes)).filter(|p| !p.positions.is_empty());
+    let points = points_for(model.points, &settled, &ids, &mut notes);
     Ok(Dataset { points, ..settled.dataset(dir, LAYOUT.name, has_alpha, notes) })
 }
 
@@ -170,41 +170,53 @@ fn open_dense(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
         notes.push(format!("image k of {images}, in order of names, is at time k/{}", images.max(2) - 1));
     }
     let settled = settle(drafts, &timed, None)?;
-    let points =
-        model.points.map(|points| known(&points, &settled, &ids, &mut notes)).filter(|p| !p.positions.is_empty());
+    let points = points_for(model.points, &settled, &ids, &mut notes);
     Ok(Dataset { points, ..settled.dataset(dir, NVIDIA.name, has_alpha, notes) })
 }
 
-/// The points of a model, and of a sequence whose end is held out those alone that training images saw: a model is made of all images.
-fn known(
-    points: &SparsePoints,
+/// The points of a model for a data set, by the numbers of the images of files; none where there are none.
+fn points_for(
+    points: Option<SparsePoints>,
     settled: &Settled,
     ids: &BTreeMap<PathBuf, u32>,
     notes: &mut Vec<String>,
-) -> PointCloud {
+) -> Option<PointCloud> {
+    let points = points?;
     if settled.extrapolate.is_empty() {
-        return points.cloud.clone();
+        return Some(points.cloud);
     }
-    let id = |view: &View| match &view.image {
-        ImageSource::File(path) => ids.get(path).copied(),
-        ImageSource::Memory(_) => None,
-    };
-    let known = points.seen_by(&settled.train.iter().filter_map(id).collect());
-    let (all, left_out) = (points.cloud.positions.len(), points.cloud.positions.len() - known.positions.len());
-    notes.push(format!(
-        "{left_out} of {all} points of the model are left out: no training image before data.time_boundary saw them"
-    ));
-    known
+    let (all, has_tracks) = (points.cloud.positions.len(), points.has_tracks());
+    let known = points.known_to(&settled.train, |file| ids.get(file).copied());
+    let left_out = all - known.positions.len();
+    notes.push(match has_tracks {
+        true => format!(
+            "{left_out} of {all} points of the model are left out: no training image before data.time_boundary saw them"
+        ),
+        false => "the model does not say which images saw its points: those of images after data.time_boundary are among them"
+            .to_owned(),
+    });
+    (!known.positions.is_empty()).then_some(known)
 }
 
-/// The points of the COLMAP model of a folder of any layout, where there is one.
+/// The points of the COLMAP model in the folder of a data set of any layout, where there is one. Where the end of the sequence is held out,
+/// those that training images saw, which the model knows by the ends of their paths.
 ///
 /// # Errors
 /// See [`DataError`].
-pub(super) fn points_beside(dir: &Path) -> Result<Option<PointCloud>, DataError> {
+pub(super) fn points_beside(data: &Dataset) -> Result<Option<PointCloud>, DataError> {
     for folders in [&MODEL_FOLDERS[..], &DENSE_MODEL_FOLDERS] {
-        if model_folder(dir, folders).is_some() {
-            return Ok(Model::read(dir, folders)?.points.map(|points| points.cloud));
+        if model_folder(&data.root, folders).is_some() {
+            let Model { rows, points, .. } = Model::read(&data.root, folders)?;
+            let Some(points) = points else { return Ok(None) };
+            if data.extrapolate.is_empty() {
+                return Ok(Some(points.cloud));
+            }
+            let ids: BTreeMap<&Path, u32> = rows.iter().map(|row| (Path::new(&row.name), row.id)).collect();
+            let id = |file: &Path| {
+                let parts: Vec<&OsStr> = file.iter().collect();
+                (0..parts.len()).rev().find_map(|k| ids.get(&*parts[k..].iter().collect::<PathBuf>()).copied())
+            };
+            return Ok(Some(points.known_to(&data.train, id)));
         }
     }
     Ok(None)

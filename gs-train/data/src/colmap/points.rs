@@ -5,8 +5,8 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use super::super::PointCloud;
 use super::super::error::{DataError, Place};
+use super::super::{ImageSource, PointCloud, View};
 
 /// Points with their tracks.
 #[derive(Default)]
@@ -51,8 +51,23 @@ impl SparsePoints {
         }
     }
 
-    /// The points that one of these images saw. A point without a track has nobody who saw it.
-    pub(super) fn seen_by(&self, images: &BTreeSet<u32>) -> PointCloud {
+    /// The points that one of the images of these views saw, whose numbers `id` gives by their files: of a sequence whose end is held
+    /// out, since a model is made of all images. All points where the model says of none who saw it, or knows none of the images.
+    pub(super) fn known_to(self, views: &[View], id: impl Fn(&Path) -> Option<u32>) -> PointCloud {
+        let file = |view: &View| match &view.image {
+            ImageSource::File(path) => id(path),
+            ImageSource::Memory(_) => None,
+        };
+        let images: BTreeSet<u32> = views.iter().filter_map(file).collect();
+        if self.images.is_empty() || images.is_empty() { self.cloud } else { self.seen_by(&images) }
+    }
+
+    /// Whether the model says of any point which images saw it.
+    pub(super) fn has_tracks(&self) -> bool {
+        !self.images.is_empty()
+    }
+
+    fn seen_by(&self, images: &BTreeSet<u32>) -> PointCloud {
         let mut kept = PointCloud::default();
         let mut begin = 0;
         for ((position, color), end) in self.cloud.positions.iter().zip(&self.cloud.colors).zip(&self.ends) {

@@ -3,7 +3,7 @@
 use glam::Vec3;
 use gs_core::io::{npy, write_file};
 use gs_data::DataOptions;
-use gs_data::{Dataset, DepthMap, PointCloud, StartFrom, write_start};
+use gs_data::{Dataset, DepthMap, ImageSource, PointCloud, StartFrom, View, write_start};
 use gs_synth::{self as synth, SynthOptions};
 
 fn folder(name: &str) -> (tempfile::TempDir, Dataset) {
@@ -51,6 +51,35 @@ fn depth_gives_points_on_the_surface() {
     };
     let worst = start.cloud.positions.iter().map(off).fold(0.0, f64::max);
     assert!(worst < 1e-3, "{worst} off the surface");
+}
+
+/// A COLMAP model beside other layouts: one point that the first training image saw, one that the last image of all saw.
+#[test]
+fn points_of_the_held_out_end_are_left_out_of_a_model_beside() {
+    let (dir, _) = folder("balls");
+    let early = DataOptions { time_boundary: Some(0.5), ..DataOptions::default() };
+    let data = Dataset::open(dir.path(), &early).unwrap();
+    let name = |v: &View| match &v.image {
+        ImageSource::File(path) => path.strip_prefix(&data.root).unwrap().display().to_string(),
+        ImageSource::Memory(_) => panic!("of files"),
+    };
+    let names = [name(&data.train[0]), name(data.extrapolate.last().unwrap())];
+    let sparse = dir.path().join("sparse/0");
+    std::fs::create_dir_all(&sparse).unwrap();
+    std::fs::write(sparse.join("cameras.txt"), "1 PINHOLE 48 48 50 50 24 24\n").unwrap();
+    let images = names.iter().enumerate().map(|(k, name)| format!("{} 1 0 0 0 0 0 4 1 {name}\n\n", k + 5));
+    std::fs::write(sparse.join("images.txt"), images.collect::<String>()).unwrap();
+    let write = |tracks: [&str; 2]| {
+        let points = format!("1 0 0 0 9 9 9 0.1{}\n2 0.1 0 0 9 9 9 0.1{}\n", tracks[0], tracks[1]);
+        std::fs::write(sparse.join("points3D.txt"), points).unwrap();
+    };
+    let found = |data: &Dataset| data.start(Some(StartFrom::Colmap), 10, 0).unwrap().cloud.positions;
+    write([" 5 0", " 6 0"]);
+    assert_eq!(found(&data), [Vec3::ZERO]);
+    let options = DataOptions { layout: Some("blender".into()), ..DataOptions::default() };
+    assert_eq!(found(&Dataset::open(dir.path(), &options).unwrap()).len(), 2, "nothing is held out");
+    write(["", ""]);
+    assert_eq!(found(&data).len(), 2, "without tracks nobody knows");
 }
 
 #[test]

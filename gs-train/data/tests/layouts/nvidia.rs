@@ -103,22 +103,29 @@ fn frames_are_moments_in_order_of_names() {
 #[test]
 fn points_that_were_seen_after_the_boundary_alone_are_left_out() {
     let dir = capture(17);
-    let mut points = 3u64.to_le_bytes().to_vec();
-    for (k, track) in [vec![2u32, 10], vec![10], vec![]].into_iter().enumerate() {
-        points.extend((k as u64).to_le_bytes());
-        points.extend([k as f64, 0.5, -1.0].map(f64::to_le_bytes).concat());
-        points.extend([0, 128, 255]);
-        points.extend(0.25f64.to_le_bytes());
-        points.extend((track.len() as u64).to_le_bytes());
-        points.extend(track.iter().flat_map(|image| [*image, 7].map(u32::to_le_bytes).concat()));
-    }
-    std::fs::write(dir.path().join("dense/sparse/points3D.bin"), points).unwrap();
+    let write = |tracks: [&[u32]; 3]| {
+        let mut points = 3u64.to_le_bytes().to_vec();
+        for (k, track) in tracks.into_iter().enumerate() {
+            points.extend((k as u64).to_le_bytes());
+            points.extend([k as f64, 0.5, -1.0].map(f64::to_le_bytes).concat());
+            points.extend([0, 128, 255]);
+            points.extend(0.25f64.to_le_bytes());
+            points.extend((track.len() as u64).to_le_bytes());
+            points.extend(track.iter().flat_map(|image| [*image, 7].map(u32::to_le_bytes).concat()));
+        }
+        std::fs::write(dir.path().join("dense/sparse/points3D.bin"), points).unwrap();
+    };
+    write([&[2, 10], &[10], &[]]);
     let whole = open(dir.path(), &DataOptions::default());
     let half = open(dir.path(), &DataOptions { time_boundary: Some(0.5), ..Default::default() });
     assert_eq!(whole.points.unwrap().positions.len(), 3);
     assert!(half.train.iter().any(|v| v.name == "001") && half.extrapolate.iter().any(|v| v.name == "009"));
     assert_eq!(half.points.unwrap().positions, [glam::Vec3::new(0.0, 0.5, -1.0)]);
     assert!(half.notes.iter().any(|n| n.contains("2 of 3 points")), "{:?}", half.notes);
+    write([&[]; 3]);
+    let half = open(dir.path(), &DataOptions { time_boundary: Some(0.5), ..Default::default() });
+    assert_eq!(half.points.unwrap().positions.len(), 3);
+    assert!(half.notes.iter().any(|n| n.contains("does not say which images saw its points")), "{:?}", half.notes);
 }
 
 #[test]
