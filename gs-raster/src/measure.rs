@@ -5,11 +5,11 @@
 
 use crate::options::{RasterOptions, SimdLevel};
 use crate::reference::{self, Cutoff, Scene};
-use crate::{DeviceError, Frame, FrameGrad, Rasterizer, ScreenStats, Workspace, simd};
+use crate::{DeviceError, Frame, FrameGrad, Rasterizer, ScreenStats, Workspace, render, render_backward, simd};
 use fearless_simd::{dispatch, f32x16, prelude::*};
 use glam::{DMat3, DVec3, Vec3};
 use gs_core::speed::{BenchRow, median_seconds};
-use gs_core::{Camera, Color, Kernel, Rng, Splats, SplatsGrad, sh};
+use gs_core::{Camera, Color, Kernel, Rng, Splats, SplatsGrad, SplatsRef, sh};
 use rayon::prelude::*;
 use std::hint::black_box;
 use std::time::Instant;
@@ -68,6 +68,30 @@ pub fn camera(side: u32) -> Camera {
         rotation,
         translation: DVec3::new(0.0, 0.0, 1.5),
     }
+}
+
+/// Bytes that a splat takes while a frame is drawn, and while its gradients are: splats, gradients, and what the rasteriser keeps for
+/// them and for the tiles of the frame. The frame itself is left out. Zeros without splats.
+///
+/// ```
+/// use gs_raster::{RasterOptions, measure};
+///
+/// let splats = measure::scene(1000, 0);
+/// let [forward, both] = measure::bytes_per_splat(splats.view(), &measure::camera(64), &RasterOptions::default());
+/// assert!(forward > 56.0 && both > forward + 56.0, "14 numbers each");
+/// ```
+pub fn bytes_per_splat(splats: SplatsRef<'_>, camera: &Camera, options: &RasterOptions) -> [f64; 2] {
+    let (mut workspace, n) = (Workspace::new(), splats.len());
+    if n == 0 {
+        return [0.0; 2];
+    }
+    let frame = render(splats, camera, options, &mut workspace);
+    let forward = workspace.bytes();
+    let d = FrameGrad { rgb: vec![1.0; 3 * frame.alpha.len()], ..FrameGrad::default() };
+    let (grad, _) = render_backward(splats, camera, options, &mut workspace, &d);
+    // Gradients have the columns of the splats: mean, rotation, scales and opacity, colours, kernel.
+    let values = size_of::<f32>() * (11 * n + grad.color.len() + grad.kernel.len());
+    [values + forward, 2 * values + workspace.bytes()].map(|bytes| bytes as f64 / n as f64)
 }
 
 /// Peak throughput of this machine with the threads of the current rayon pool: the roofline beside a measured time.

@@ -11,6 +11,7 @@ mod raster;
 mod stages;
 mod variants;
 
+pub use raster::{Memory, memory};
 pub use stages::{STAGES, Stage, StageOptions, StageTimes, stage_times};
 
 use gs_core::speed::{BenchRow, median_seconds};

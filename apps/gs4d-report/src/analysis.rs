@@ -182,6 +182,8 @@ mod tests {
         assert!(economy.tiles_per_splat >= 1.0 && economy.used_per_tile <= economy.listed_per_tile);
         assert!(economy.walked_per_pixel > 0.0 && economy.walked_per_pixel <= economy.used_per_tile);
         assert!((economy.tiles_per_splat * SPLATS as f64 / 16.0 - economy.listed_per_tile).abs() < 1e-12, "16 tiles");
+        let [drawn, trained] = economy.bytes_per_splat;
+        assert!(drawn > 56.0 && trained > drawn + 56.0, "{drawn}, {trained}: at least 14 numbers each");
         assert!(RenderCost::of(&swing, &[], &RasterOptions::default(), None).unwrap().is_none());
     }
 }

@@ -3,7 +3,7 @@
 
 use super::variants::speed_against_error;
 use gs_core::speed::BenchRow;
-use gs_raster::measure::{camera, rows as measured, scene};
+use gs_raster::measure::{bytes_per_splat, camera, rows as measured, scene};
 use gs_raster::{RasterOptions, SimdLevel};
 
 /// Number of splats and side of the square image, pixels.
@@ -11,6 +11,26 @@ const SIZES: [(usize, u32); 3] = [(1_000, 128), (10_000, 256), (100_000, 512)];
 /// SH degree of the scenes.
 const DEGREE: u8 = 3;
 const RUNS: usize = 5;
+
+/// Memory a splat takes in a scene.
+#[derive(Clone, Copy, Debug, serde::Serialize)]
+pub struct Memory {
+    /// Number of splats.
+    pub splats: usize,
+    /// Side of the square image, pixels.
+    pub side: u32,
+    /// Bytes a splat takes in a frame, and with its gradients ([`bytes_per_splat`]).
+    pub bytes: [f64; 2],
+}
+
+/// Memory a splat takes in each of the scenes.
+pub fn memory() -> Vec<Memory> {
+    let of = |(splats, side)| {
+        let bytes = bytes_per_splat(scene(splats, DEGREE).view(), &camera(side), &RasterOptions::default());
+        Memory { splats, side, bytes }
+    };
+    SIZES.into_iter().map(of).collect()
+}
 /// Bound on pixels × splats of the f64 reference image.
 const REFERENCE_WORK: usize = 10_000_000;
 

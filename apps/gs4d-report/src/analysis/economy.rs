@@ -2,6 +2,7 @@
 
 use crate::ReportRow;
 use gs_core::{Camera, Time};
+use gs_raster::measure::bytes_per_splat;
 use gs_raster::tiles::TILE;
 use gs_raster::{Frame, RasterOptions, Workspace, render_into};
 use gs_train::method::MethodError;
@@ -22,6 +23,9 @@ pub struct RenderCost {
     pub used_per_tile: f64,
     /// Mean number of splats a pixel visits up to its last blended one: at least the number it blends.
     pub walked_per_pixel: f64,
+    /// Bytes a splat takes in a frame, and in a step of training: there with gradients, and with the parameters of the method, their
+    /// gradients and Adam's moments. The most over views.
+    pub bytes_per_splat: [f64; 2],
     /// PSNR of the run, dB, for comparison.
     pub psnr: Option<f64>,
 }
@@ -39,6 +43,7 @@ impl RenderCost {
     ) -> Result<Option<Self>, MethodError> {
         let (mut workspace, mut frame) = (Workspace::new(), Frame::default());
         let (mut listed, mut used, mut walked, mut tiles, mut pixels) = (0usize, 0usize, 0u64, 0usize, 0usize);
+        let mut bytes = [0.0f64; 2];
         for (camera, time) in views {
             let splats = method.splats(&Timestamp::new(*time), camera)?;
             render_into(&splats, camera, options, &mut workspace, &mut frame);
@@ -47,13 +52,18 @@ impl RenderCost {
             walked += workspace.entries_walked();
             tiles += frame.rgb.width.div_ceil(TILE) * frame.rgb.height.div_ceil(TILE);
             pixels += frame.alpha.len();
+            let [drawn, trained] = bytes_per_splat(splats.view(), camera, options);
+            bytes = [bytes[0].max(drawn), bytes[1].max(trained)];
         }
+        // A value, its gradient and two moments.
+        bytes[1] += 16.0 * method.param_count() as f64 / method.splat_count().max(1) as f64;
         Ok((tiles > 0 && method.splat_count() > 0).then(|| Self {
             splats: method.splat_count(),
             tiles_per_splat: listed as f64 / (views.len() * method.splat_count()) as f64,
             listed_per_tile: listed as f64 / tiles as f64,
             used_per_tile: used as f64 / tiles as f64,
             walked_per_pixel: walked as f64 / pixels as f64,
+            bytes_per_splat: bytes,
             psnr,
         }))
     }
@@ -74,6 +84,11 @@ impl RenderCost {
                 "depth of a pixel",
                 format!("{:.1}", self.walked_per_pixel),
                 "splats of its tile up to its last blended one",
+            ),
+            ReportRow::new(
+                "memory of a splat",
+                format!("{:.0}, {:.0} bytes", self.bytes_per_splat[0], self.bytes_per_splat[1]),
+                "in a frame; in a step of training, with parameters, gradients and Adam's moments",
             ),
         ]
     }

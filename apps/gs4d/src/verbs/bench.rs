@@ -5,7 +5,7 @@ use crate::failure::{Class, Failure};
 use crate::global::Global;
 use crate::opening::RunData;
 use gs_core::speed::BenchRow;
-use gs4d_lab::bench::{GROUPS, StageOptions, StageTimes, roofline, stage_times};
+use gs4d_lab::bench::{GROUPS, Memory, StageOptions, StageTimes, memory, roofline, stage_times};
 use gs4d_lab::people::{LabError, Trained};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -72,12 +72,18 @@ impl Bench {
         }
         let (fma, exp) = roofline();
         let mut text = speed_text(&rows).trim_start().to_owned();
+        let memory = if rows.iter().any(|r| r.krate == "gs-raster") { memory() } else { Vec::new() };
+        for Memory { splats, side, bytes: [frame, both] } in &memory {
+            text.push_str(&format!(
+                "draw@{side}: a splat of {splats} takes {frame:.0} bytes in a frame, {both:.0} with gradients\n"
+            ));
+        }
         text.push_str(&format!(
             "roofs of this machine on {} threads: {fma:.1} GFLOP/s fused multiply-add, {exp:.2} G exponentials/s\n",
             rayon::current_num_threads()
         ));
         let roofs = json!({"fma_gflops": fma, "exp2_giga_per_second": exp, "threads": rayon::current_num_threads()});
-        Ok(Answer::new(text, json!({"rows": speed_json(&rows), "roofs": roofs})))
+        Ok(Answer::new(text, json!({"rows": speed_json(&rows), "memory": memory, "roofs": roofs})))
     }
 }
 
