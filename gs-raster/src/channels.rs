@@ -196,6 +196,12 @@ pub fn render_channels_backward<'a>(
     let (splats, options) = (splats.into(), over_black(options));
     let (mut total, mut stats, mut camera_grad) =
         (SplatsGrad::default(), ScreenStats::default(), CameraGrad::default());
+    if let ([color], GROUP) = (channels.groups.as_slice(), channels.count()) {
+        // The cotangents as they are.
+        let splats = SplatsRef { color, ..splats };
+        let camera = render_backward_with_camera(splats, camera, &options, workspace, d, &mut total, &mut stats);
+        return (total, stats, camera);
+    }
     let mut d_colors = Vec::with_capacity(channels.groups.len());
     let mut d_images = split(&d.rgb, channels.count()).into_iter();
     let mut d = FrameGrad { rgb: Vec::new(), alpha: d.alpha.clone(), depth: d.depth.clone() };
@@ -220,8 +226,8 @@ pub fn render_channels_backward<'a>(
     (total, stats, camera_grad)
 }
 
-/// Adds the gradient of another group, but for the colours.
-fn add(total: &mut SplatsGrad, group: &SplatsGrad) {
+/// Adds the gradient of the same splats, but for the colours.
+pub(crate) fn add(total: &mut SplatsGrad, group: &SplatsGrad) {
     total.means.iter_mut().zip(&group.means).for_each(|(to, from)| *to += *from);
     total.scales.iter_mut().zip(&group.scales).for_each(|(to, from)| *to += *from);
     add_rows(&mut total.quats, &group.quats);

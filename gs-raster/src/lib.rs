@@ -54,6 +54,10 @@
 //! [`render_channels`] and [`render_channels_backward`] take colours of any number of channels, in groups of three over one
 //! projection, order and lists.
 //!
+//! # Several cameras
+//! [`render_views`] and [`render_views_backward`] draw such colours, shared or of each camera, from several cameras, and sum
+//! the gradients of the splats over them.
+//!
 //! # Other devices
 //! [`Rasterizer`] is the same work on any device; [`Workspace`] is the one on the CPU.
 //!
@@ -84,6 +88,7 @@ mod rows;
 pub mod simd;
 mod sort;
 pub mod tiles;
+mod views;
 mod workspace;
 
 pub use backward::{render_backward_into, render_backward_with_camera};
@@ -94,6 +99,7 @@ pub use forward::render_into;
 pub use frame::{Frame, FrameGrad, Screen, ScreenStats};
 pub use options::{ClampGrad, OptionError, RasterOptions, SimdLevel};
 pub use rasterizer::{DeviceError, Rasterizer};
+pub use views::{ViewsError, ViewsGrad, render_views, render_views_backward};
 pub use workspace::Workspace;
 
 use gs_core::{Camera, SplatsGrad, SplatsRef};

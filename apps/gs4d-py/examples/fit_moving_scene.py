@@ -1,71 +1,40 @@
-"""Fits splats that move in straight lines to images of a moving scene: numpy alone, a few seconds.
-
-    python examples/fit_moving_scene.py
-"""
+"""Fits splats that move in straight lines to images of a moving scene: numpy alone, two seconds."""
 
 import numpy as np
-
 import gs4d
 
-SIDE, TIMES = 48, np.linspace(0, 1, 5, dtype=np.float32)
+rng = np.random.default_rng(0)
+views = np.tile(np.eye(4, dtype=np.float32), (3, 1, 1))  # three cameras in a row, which look along +z
+views[:, :3, 3] = [[-0.8, 0, 3], [0, 0, 3], [0.8, 0, 3]]
+Ks = np.tile(np.array([[60, 0, 24], [0, 60, 24], [0, 0, 1]], np.float32), (3, 1, 1))
+opacities = np.full(12, 0.8, np.float32)
 
 
-def cameras(count=4):
-    """Cameras on an arc in front of the scene, and their intrinsics."""
-    views = np.tile(np.eye(4, dtype=np.float32), (count, 1, 1))
-    for view, angle in zip(views, np.linspace(-0.5, 0.5, count)):
-        view[:3, :3] = [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
-        view[2, 3] = 3
-    K = np.array([[60, 0, SIDE / 2], [0, 60, SIDE / 2], [0, 0, 1]], np.float32)
-    return views, np.tile(K, (count, 1, 1))
+def render(scene, t):
+    splats = {name: array for name, array in scene.items() if name != "velocities"}
+    splats["means"] = scene["means"] + t * scene["velocities"]
+    return gs4d.rasterization_vjp(**splats, opacities=opacities, viewmats=views, Ks=Ks, width=48, height=48)
 
 
-def truth(rng, n=12):
-    """Parameters of the scene: centres at time 0, velocities, log-scales, quaternions, logits of opacity and of colour."""
-    draw = lambda width, low, high: rng.uniform(low, high, (n, width)).astype(np.float32)
-    return {"start": draw(3, -0.6, 0.6), "velocity": draw(3, -0.5, 0.5), "log_scales": draw(3, -2.2, -1.4),
-            "quats": draw(4, -1, 1), "opacity": draw(1, 0, 2), "color": draw(3, -2, 2)}
+def uniform(low, high, width):
+    return rng.uniform(low, high, (12, width)).astype(np.float32)
 
 
-def sigmoid(x):
-    return 1 / (1 + np.exp(-x))
+truth = {"means": uniform(-0.6, 0.6, 3), "velocities": uniform(-0.5, 0.5, 3), "quats": uniform(-1, 1, 4),
+         "scales": uniform(0.1, 0.25, 3), "colors": uniform(0, 1, 3)}
+images = {t: render(truth, t)[0] for t in np.linspace(0, 1, 5, dtype=np.float32)}
+scene = {"means": truth["means"] + uniform(-0.1, 0.1, 3), "velocities": np.zeros((12, 3), np.float32), "quats": uniform(-1, 1, 4),
+         "scales": np.full((12, 3), 0.15, np.float32), "colors": np.full((12, 3), 0.5, np.float32)}
+moments = {name: np.zeros((2, *array.shape), np.float32) for name, array in scene.items()}
+for step in range(1000):
+    t = rng.choice(list(images))
+    drawn, _, _, vjp = render(scene, t)
+    grads = vjp(drawn - images[t])
+    grads["velocities"] = t * grads["means"]
+    for name, (mean, square) in moments.items():  # Adam, with a rate that falls to 0
+        mean += 0.1 * (grads[name] - mean)
+        square += 0.01 * (grads[name] ** 2 - square)
+        scene[name] -= 0.02 * (1 - step / 1000) * mean / (np.sqrt(square) + 1e-8)
 
-
-def render(p, t, views, Ks):
-    """Images of all cameras at a time, and the gradients of the parameters for a gradient of the images."""
-    scales, opacities, colors = np.exp(p["log_scales"]), sigmoid(p["opacity"][:, 0]), sigmoid(p["color"])
-    images, _, _, vjp = gs4d.rasterization_vjp(
-        p["start"] + t * p["velocity"], p["quats"], scales, opacities, colors, views, Ks, SIDE, SIDE)
-
-    def pull_back(d_images):
-        g = vjp(d_images)
-        return {"start": g["means"], "velocity": t * g["means"], "log_scales": g["scales"] * scales, "quats": g["quats"],
-                "opacity": (g["opacities"] * opacities * (1 - opacities))[:, None],
-                "color": g["colors"] * colors * (1 - colors)}
-
-    return images, pull_back
-
-
-def fit(steps=400, rate=0.02, seed=0):
-    """PSNR in dB over all cameras and times before and after the fit."""
-    rng = np.random.default_rng(seed)
-    views, Ks = cameras()
-    scene = truth(rng)
-    images = {t: render(scene, t, views, Ks)[0] for t in TIMES}
-    p = {key: value + rng.normal(0, 0.25, value.shape).astype(np.float32) for key, value in scene.items()}
-    p["velocity"][:] = 0
-    score = lambda: np.mean([gs4d.psnr(a, b) for t in TIMES for a, b in zip(render(p, t, views, Ks)[0], images[t])])
-    before, moments = score(), {key: (np.zeros_like(v), np.zeros_like(v)) for key, v in p.items()}
-    for step in range(1, steps + 1):
-        t = rng.choice(TIMES)
-        drawn, pull_back = render(p, t, views, Ks)
-        for key, g in pull_back(2 * (drawn - images[t]) / drawn.size).items():
-            m, v = moments[key]
-            m += 0.1 * (g - m)
-            v += 0.01 * (g * g - v)
-            p[key] -= rate * (1 - step / steps) * (m / (1 - 0.9**step)) / (np.sqrt(v / (1 - 0.99**step)) + 1e-12)
-    return before, score()
-
-
-if __name__ == "__main__":
-    print("PSNR %.1f dB before, %.1f dB after" % fit())
+psnr = [gs4d.psnr(*pair) for t in (0.125, 0.625, 0.875) for pair in zip(render(scene, t)[0], render(truth, t)[0])]
+print(f"{np.mean(psnr):.1f} dB at times that were not fitted")

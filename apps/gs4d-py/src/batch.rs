@@ -1,17 +1,17 @@
-//! The images of several cameras, and the gradients they pull back: sums over cameras in order.
+//! Splats, cameras, and what their frames left: the images of all cameras, and the gradients they pull back.
 
 use crate::input::{self, Settings, array};
-use crate::precision::{Images, Precision, Pulled, Values, add_pulled};
+use crate::precision::{Images, Precision, Pulls, Values};
 use crate::threads::pool;
 use gs_core::{Camera, sh};
-use gs_raster::{CameraGrad, RasterOptions, Screen};
+use gs_raster::{RasterOptions, Screen};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use rayon::ThreadPool;
 use std::sync::Arc;
 
-/// Splats, cameras, and what their frames left.
+/// What was drawn, kept for its gradients.
 pub(crate) struct Batch<T: Precision> {
     splats: T::Splats,
     /// One for all cameras, or one for each.
@@ -19,20 +19,9 @@ pub(crate) struct Batch<T: Precision> {
     /// 0 if no colours were given.
     channels: usize,
     options: RasterOptions,
-    cameras: Vec<(Camera, T::Memory)>,
+    cameras: Vec<Camera>,
+    memory: T::Memory,
     pool: Arc<ThreadPool>,
-}
-
-/// Gradients over all cameras.
-pub(crate) struct Pulls<T> {
-    /// Those of the splats; `None` without a camera. Colours are here if all cameras share them.
-    pub splats: Option<Pulled<T>>,
-    /// Colours of each camera, one after the other, if each has its own.
-    pub colors: Vec<T>,
-    /// `[cameras, n, 2]`: of the projected centres, per pixel.
-    pub means2d: Vec<T>,
-    /// One of each camera.
-    pub cameras: Vec<CameraGrad>,
 }
 
 impl<T: Precision> Batch<T> {
@@ -46,31 +35,30 @@ impl<T: Precision> Batch<T> {
             splats: T::splats(geometry),
             channels: settings.channels,
             options: settings.options()?,
-            cameras: cameras.into_iter().map(|camera| (camera, T::Memory::default())).collect(),
+            cameras,
+            memory: T::Memory::default(),
             pool: pool(settings.threads)?,
         };
         Ok((batch, rows, count))
     }
 
     /// The images of all cameras, one after the other, and where the splats lie in each.
-    pub(crate) fn draw(&mut self) -> (Images<T>, Vec<Screen>) {
-        let Self { splats, colors, options, cameras, pool, .. } = self;
-        let (mut all, mut screens) = (Images::default(), Vec::new());
-        pool.install(|| {
-            for (i, (camera, memory)) in cameras.iter_mut().enumerate() {
-                let (images, screen) = T::draw(splats, &colors[i % colors.len()], camera, options, memory);
-                append(&mut all.colors, images.colors);
-                append(&mut all.alphas, images.alphas);
-                append(&mut all.depths, images.depths);
-                screens.push(screen);
-            }
-        });
-        (all, screens)
+    pub(crate) fn draw(&mut self) -> Result<(Images<T>, Vec<Screen>), String> {
+        let Self { splats, colors, options, cameras, memory, pool, .. } = self;
+        let drawn = pool.install(|| T::draw(splats, colors, cameras, options, memory));
+        let (images, screens) = drawn.map_err(|e| e.to_string())?;
+        let mut all = Images::default();
+        for images in images {
+            append(&mut all.colors, images.colors);
+            append(&mut all.alphas, images.alphas);
+            append(&mut all.depths, images.depths);
+        }
+        Ok((all, screens))
     }
 
     /// Gradients of the loss whose cotangents are `d`, which has the layout of [`Batch::draw`]; after that.
     pub(crate) fn pull_back(&mut self, d: &Images<T>) -> Result<Pulls<T>, String> {
-        let pixels = self.cameras.first().map_or(0, |(c, _)| c.width as usize * c.height as usize);
+        let pixels = self.cameras.first().map_or(0, |c| c.width as usize * c.height as usize);
         let (count, channels) = (self.cameras.len(), self.channels);
         for (name, values, width) in
             [("colors", &d.colors, channels), ("alphas", &d.alphas, 1), ("depths", &d.depths, 1)]
@@ -80,31 +68,17 @@ impl<T: Precision> Batch<T> {
                 return Err(format!("the cotangent of {name} has {got} values, {want} are needed"));
             }
         }
-        let Self { splats, colors, options, cameras, pool, .. } = self;
-        let mut pulls = Pulls { splats: None, colors: Vec::new(), means2d: Vec::new(), cameras: Vec::new() };
-        pool.install(|| {
-            for (i, (camera, memory)) in cameras.iter_mut().enumerate() {
-                let part = |values: &[T], width: usize| {
-                    values.chunks(pixels * width.max(1)).nth(i).map_or_else(Vec::new, <[T]>::to_vec)
-                };
-                let d = Images {
-                    colors: part(&d.colors, channels),
-                    alphas: part(&d.alphas, 1),
-                    depths: part(&d.depths, 1),
-                };
-                let mut pulled = T::pull_back(splats, &colors[i % colors.len()], camera, options, memory, &d);
-                append(&mut pulls.means2d, std::mem::take(&mut pulled.means2d).into_flattened());
-                pulls.cameras.push(pulled.camera);
-                if colors.len() > 1 {
-                    append(&mut pulls.colors, std::mem::take(&mut pulled.splats.color));
-                }
-                match &mut pulls.splats {
-                    Some(total) => add_pulled(total, &pulled),
-                    none => *none = Some(pulled),
-                }
-            }
-        });
-        Ok(pulls)
+        let part = |values: &[T], width: usize, i: usize| {
+            values.chunks(pixels * width.max(1)).nth(i).map_or_else(Vec::new, <[T]>::to_vec)
+        };
+        let of = |i| Images {
+            colors: part(&d.colors, channels, i),
+            alphas: part(&d.alphas, 1, i),
+            depths: part(&d.depths, 1, i),
+        };
+        let d = (0..count).map(of).collect();
+        let Self { splats, colors, options, cameras, memory, pool, .. } = self;
+        pool.install(|| T::pull_back(splats, colors, cameras, options, memory, d)).map_err(|e| e.to_string())
     }
 }
 

@@ -3,8 +3,8 @@
 use crate::precision::Precision;
 use glam::{DMat4, DVec2};
 use gs_core::{Camera, cast};
-use gs_raster::RasterOptions;
 use gs_raster::reference::{KernelKind, Scene};
+use gs_raster::{ClampGrad, RasterOptions};
 use numpy::{PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -20,6 +20,8 @@ pub(crate) struct Settings {
     far: f64,
     dilation: f64,
     max_alpha: f64,
+    /// Whether samples above `max_alpha` get gradients.
+    pass_through: bool,
     antialias: bool,
     /// SH degree of the colours, or `None` for plain ones.
     pub degree: Option<u8>,
@@ -38,6 +40,7 @@ impl Settings {
             dilation: self.dilation,
             max_alpha: self.max_alpha,
             antialias: self.antialias,
+            clamp_grad: if self.pass_through { ClampGrad::PassThrough } else { ClampGrad::Exact },
             ..RasterOptions::default()
         };
         // Python's names of the options.

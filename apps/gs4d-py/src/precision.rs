@@ -3,10 +3,10 @@
 use glam::Vec3;
 use gs_core::{Camera, Color, Kernel, Splats, SplatsGrad};
 use gs_raster::channels::{join, split};
-use gs_raster::reference::{self, Cutoff, Scalar, Scene};
+use gs_raster::reference::{self, Cutoff, PixelGrad, Scalar, Scene};
 use gs_raster::{
-    CameraGrad, Channels, FrameGrad, RasterOptions, Screen, Workspace, render, render_channels,
-    render_channels_backward,
+    CameraGrad, Channels, Frame, FrameGrad, RasterOptions, Screen, ViewsError, Workspace, render, render_views,
+    render_views_backward,
 };
 use numpy::Element;
 
@@ -21,13 +21,16 @@ pub(crate) struct Images<T> {
     pub depths: Vec<T>,
 }
 
-/// Gradients that one camera's images pull back.
-pub(crate) struct Pulled<T> {
-    /// Of the splats; `color` has the layout of the colours given.
+/// Gradients over all cameras.
+pub(crate) struct Pulls<T> {
+    /// Of the splats but for their colours, summed over the cameras.
     pub splats: Scene<T>,
-    /// `[n]`: of the projected centres, per pixel.
-    pub means2d: Vec<[T; 2]>,
-    pub camera: CameraGrad,
+    /// One for all cameras, or one for each, in the layout of the colours given.
+    pub colors: Vec<Vec<T>>,
+    /// `[n]` of each camera: of the projected centres, per pixel.
+    pub means2d: Vec<Vec<[T; 2]>>,
+    /// One of each camera.
+    pub cameras: Vec<CameraGrad>,
 }
 
 /// Colours of all splats: `[n, channels]`, or `[n, (degree + 1)², channels]`.
@@ -43,7 +46,7 @@ pub(crate) trait Precision: Scalar + Element + Default {
     type Splats: Send + Sync;
     /// Their colours.
     type Colors: Send + Sync;
-    /// What a frame leaves for its backward.
+    /// What frames leave for their backward.
     type Memory: Default + Send;
 
     fn splats(geometry: Scene<Self>) -> Self::Splats;
@@ -51,30 +54,30 @@ pub(crate) trait Precision: Scalar + Element + Default {
     /// Takes the colours of `rows` splats.
     fn colors(rows: usize, values: Values<'_, Self>) -> Result<Self::Colors, String>;
 
-    /// One camera's images, and where the splats lie on the screen.
+    /// The images of each camera, and where the splats lie in them. There is one of `colors` for all cameras, or for each.
     fn draw(
         splats: &Self::Splats,
-        colors: &Self::Colors,
-        camera: &Camera,
+        colors: &[Self::Colors],
+        cameras: &[Camera],
         options: &RasterOptions,
         memory: &mut Self::Memory,
-    ) -> (Images<Self>, Screen);
+    ) -> Result<(Vec<Images<Self>>, Vec<Screen>), ViewsError>;
 
-    /// Must follow [`Precision::draw`] with the same memory.
+    /// Gradients of the loss whose cotangents are `d`, one for each camera. Must follow [`Precision::draw`] with the same memory.
     fn pull_back(
         splats: &Self::Splats,
-        colors: &Self::Colors,
-        camera: &Camera,
+        colors: &[Self::Colors],
+        cameras: &[Camera],
         options: &RasterOptions,
         memory: &mut Self::Memory,
-        d: &Images<Self>,
-    ) -> Pulled<Self>;
+        d: Vec<Images<Self>>,
+    ) -> Result<Pulls<Self>, ViewsError>;
 }
 
 impl Precision for f32 {
     type Splats = Splats;
     type Colors = Channels;
-    type Memory = Workspace;
+    type Memory = Vec<Workspace>;
 
     fn splats(geometry: Scene<f32>) -> Splats {
         Splats {
@@ -93,28 +96,34 @@ impl Precision for f32 {
 
     fn draw(
         splats: &Splats,
-        colors: &Channels,
-        camera: &Camera,
+        colors: &[Channels],
+        cameras: &[Camera],
         options: &RasterOptions,
-        workspace: &mut Workspace,
-    ) -> (Images<f32>, Screen) {
-        let frame = render_channels(splats, colors, camera, options, workspace);
-        let images = Images { colors: frame.rgb.data, alphas: frame.alpha, depths: frame.depth };
-        (images, workspace.screen(splats.len()))
+        workspaces: &mut Vec<Workspace>,
+    ) -> Result<(Vec<Images<f32>>, Vec<Screen>), ViewsError> {
+        let frames = render_views(splats, colors, cameras, options, workspaces)?;
+        let images = |Frame { rgb, alpha, depth }| Images { colors: rgb.data, alphas: alpha, depths: depth };
+        let screens = workspaces.iter().map(|w| w.screen(splats.len())).collect();
+        Ok((frames.into_iter().map(images).collect(), screens))
     }
 
     fn pull_back(
         splats: &Splats,
-        colors: &Channels,
-        camera: &Camera,
+        colors: &[Channels],
+        cameras: &[Camera],
         options: &RasterOptions,
-        workspace: &mut Workspace,
-        d: &Images<f32>,
-    ) -> Pulled<f32> {
-        let Images { colors: rgb, alphas: alpha, depths: depth } = d.clone();
-        let d = FrameGrad { rgb, alpha, depth };
-        let (grad, stats, camera) = render_channels_backward(splats, colors, camera, options, workspace, &d);
-        Pulled { splats: scene_of(grad), means2d: stats.grad_means2d, camera }
+        workspaces: &mut Vec<Workspace>,
+        d: Vec<Images<f32>>,
+    ) -> Result<Pulls<f32>, ViewsError> {
+        let frame = |Images { colors, alphas, depths }| FrameGrad { rgb: colors, alpha: alphas, depth: depths };
+        let d: Vec<FrameGrad> = d.into_iter().map(frame).collect();
+        let grad = render_views_backward(splats, colors, cameras, options, workspaces, &d)?;
+        Ok(Pulls {
+            splats: scene_of(grad.splats),
+            colors: grad.colors,
+            means2d: grad.stats.into_iter().map(|s| s.grad_means2d).collect(),
+            cameras: grad.cameras,
+        })
     }
 }
 
@@ -163,52 +172,65 @@ impl Precision for f64 {
 
     fn draw(
         splats: &Scene<f64>,
-        colors: &Groups,
-        camera: &Camera,
+        colors: &[Groups],
+        cameras: &[Camera],
         options: &RasterOptions,
         (): &mut (),
-    ) -> (Images<f64>, Screen) {
-        let mut all = Images::default();
-        let mut groups = Vec::new();
-        for scene in colors.scenes(splats) {
-            let frame = reference::render(&scene, camera, options, Cutoff::Hard);
-            groups.push(frame.rgb.into_flattened());
-            (all.alphas, all.depths) = (frame.alpha, frame.depth);
+    ) -> Result<(Vec<Images<f64>>, Vec<Screen>), ViewsError> {
+        let mut images = Vec::new();
+        for (camera, groups) in cameras.iter().zip(colors.iter().cycle()) {
+            let (mut all, mut parts) = (Images::default(), Vec::new());
+            for scene in groups.scenes(splats) {
+                let frame = reference::render(&scene, camera, options, Cutoff::Hard);
+                parts.push(frame.rgb.into_flattened());
+                (all.alphas, all.depths) = (frame.alpha, frame.depth);
+            }
+            images.push(Images { colors: join(parts, groups.channels), ..all });
         }
-        all.colors = join(groups, colors.channels);
-        (all, screen(splats, camera, options))
+        Ok((images, cameras.iter().map(|camera| screen(splats, camera, options)).collect()))
     }
 
     fn pull_back(
         splats: &Scene<f64>,
-        colors: &Groups,
-        camera: &Camera,
+        colors: &[Groups],
+        cameras: &[Camera],
         options: &RasterOptions,
         (): &mut (),
-        d: &Images<f64>,
-    ) -> Pulled<f64> {
-        let pixels = camera.width as usize * camera.height as usize;
-        let mut d_images = split(&d.colors, colors.channels).into_iter();
-        let at = |values: &[f64], i: usize| values.get(i).copied().unwrap_or(0.0);
-        let mut total = Pulled {
-            splats: splats.zeros_like(),
-            means2d: vec![[0.0; 2]; splats.means.len()],
-            camera: CameraGrad::default(),
-        };
-        let mut d_colors = Vec::new();
-        for (group, scene) in colors.scenes(splats).enumerate() {
-            let rgb = d_images.next().unwrap_or_default();
-            // Those of alpha and depth go with the first group.
-            let once = |values: &[f64], i: usize| if group == 0 { at(values, i) } else { 0.0 };
-            let pixel = |i: usize| ([0, 1, 2].map(|c| at(&rgb, 3 * i + c)), once(&d.alphas, i), once(&d.depths, i));
-            let d: Vec<_> = (0..pixels).map(pixel).collect();
-            let (mut grad, means2d, camera) = reference::render_backward(&scene, camera, options, Cutoff::Hard, &d);
-            d_colors.push(std::mem::take(&mut grad.color));
-            add_pulled(&mut total, &Pulled { splats: grad, means2d, camera });
+        d: Vec<Images<f64>>,
+    ) -> Result<Pulls<f64>, ViewsError> {
+        let mut total =
+            Pulls { splats: splats.zeros_like(), colors: Vec::new(), means2d: Vec::new(), cameras: Vec::new() };
+        for (i, (camera, d)) in cameras.iter().zip(&d).enumerate() {
+            let groups = &colors[i % colors.len()];
+            let mut d_images = split(&d.colors, groups.channels).into_iter();
+            let (mut d_colors, mut means2d) = (Vec::new(), vec![[0.0; 2]; splats.means.len()]);
+            let mut d_camera = CameraGrad::default();
+            for (group, scene) in groups.scenes(splats).enumerate() {
+                let d = pixels(camera, &d_images.next().unwrap_or_default(), (group == 0).then_some(d));
+                let (mut grad, part, of_camera) = reference::render_backward(&scene, camera, options, Cutoff::Hard, &d);
+                d_colors.push(std::mem::take(&mut grad.color));
+                add_scene(&mut total.splats, &grad);
+                add(means2d.as_flattened_mut(), part.as_flattened());
+                d_camera += of_camera;
+            }
+            let d_colors = join(d_colors, groups.channels);
+            match total.colors.get_mut(i % colors.len()) {
+                Some(sum) => add(sum, &d_colors),
+                None => total.colors.push(d_colors),
+            }
+            total.means2d.push(means2d);
+            total.cameras.push(d_camera);
         }
-        total.splats.color = join(d_colors, colors.channels);
-        total
+        Ok(total)
     }
+}
+
+/// Cotangents of each pixel: of three channels, and with the first of their groups those of alpha and depth.
+fn pixels(camera: &Camera, rgb: &[f64], first: Option<&Images<f64>>) -> Vec<PixelGrad<f64>> {
+    let at = |values: &[f64], i: usize| values.get(i).copied().unwrap_or(0.0);
+    let once = |part: fn(&Images<f64>) -> &[f64], i: usize| first.map_or(0.0, |d| at(part(d), i));
+    let pixel = |i: usize| ([0, 1, 2].map(|c| at(rgb, 3 * i + c)), once(|d| &d.alphas, i), once(|d| &d.depths, i));
+    (0..camera.width as usize * camera.height as usize).map(pixel).collect()
 }
 
 /// Where the splats lie on the screen, by the production path.
@@ -229,17 +251,14 @@ fn screen(geometry: &Scene<f64>, camera: &Camera, options: &RasterOptions) -> Sc
     workspace.screen(n)
 }
 
-/// Adds gradients of the same splats, colours included, in order.
-pub(crate) fn add_pulled<T: Precision>(to: &mut Pulled<T>, from: &Pulled<T>) {
-    fn add<T: Precision>(to: &mut [T], from: &[T]) {
-        to.iter_mut().zip(from).for_each(|(to, from)| *to = *to + *from);
-    }
-    let (a, b) = (&mut to.splats, &from.splats);
-    add(a.means.as_flattened_mut(), b.means.as_flattened());
-    add(a.quats.as_flattened_mut(), b.quats.as_flattened());
-    add(a.scales.as_flattened_mut(), b.scales.as_flattened());
-    add(&mut a.opacities, &b.opacities);
-    add(&mut a.color, &b.color);
-    add(to.means2d.as_flattened_mut(), from.means2d.as_flattened());
-    to.camera += from.camera;
+/// Adds gradients of the same splats, but for the colours.
+fn add_scene(to: &mut Scene<f64>, from: &Scene<f64>) {
+    add(to.means.as_flattened_mut(), from.means.as_flattened());
+    add(to.quats.as_flattened_mut(), from.quats.as_flattened());
+    add(to.scales.as_flattened_mut(), from.scales.as_flattened());
+    add(&mut to.opacities, &from.opacities);
+}
+
+fn add(to: &mut [f64], from: &[f64]) {
+    to.iter_mut().zip(from).for_each(|(to, from)| *to += *from);
 }

@@ -1,8 +1,8 @@
 //! The functions of the native module that draw: numpy arrays in, numpy arrays out.
 
-use crate::batch::{Batch, Pulls};
+use crate::batch::Batch;
 use crate::input::{Settings, array, finite};
-use crate::precision::{Images, Precision};
+use crate::precision::{Images, Precision, Pulls};
 use gs_raster::Screen;
 use numpy::{Element, PyArray1, PyArrayDyn, PyArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
@@ -47,7 +47,7 @@ fn draw_as<'py, T: Precision>(
     hold: impl FnOnce(Batch<T>) -> Held,
 ) -> PyResult<Bound<'py, PyDict>> {
     let (mut batch, rows, cameras) = Batch::<T>::new(arrays, settings)?;
-    let (images, screens) = py.detach(|| batch.draw());
+    let (images, screens) = py.detach(|| batch.draw()).map_err(PyValueError::new_err)?;
     let out = PyDict::new(py);
     let (height, width, channels) = (settings.height as usize, settings.width as usize, settings.channels);
     if channels > 0 {
@@ -89,19 +89,16 @@ fn pull_back<'py, T: Precision>(
     let pulls = py.detach(|| batch.lock().unwrap_or_else(PoisonError::into_inner).pull_back(&d));
     let Pulls { splats, colors, means2d, cameras } = pulls.map_err(PyValueError::new_err)?;
     let out = PyDict::new(py);
-    if let Some(splats) = splats.map(|pulled| pulled.splats) {
-        out.set_item("means", shaped(py, splats.means.into_flattened(), &[rows, 3])?)?;
-        out.set_item("quats", shaped(py, splats.quats.into_flattened(), &[rows, 4])?)?;
-        out.set_item("scales", shaped(py, splats.scales.into_flattened(), &[rows, 3])?)?;
-        out.set_item("opacities", shaped(py, splats.opacities, &[rows])?)?;
-        let colors = if colors.is_empty() { splats.color } else { colors };
-        out.set_item("colors", PyArray1::from_vec(py, colors))?;
-    }
+    out.set_item("means", shaped(py, splats.means.into_flattened(), &[rows, 3])?)?;
+    out.set_item("quats", shaped(py, splats.quats.into_flattened(), &[rows, 4])?)?;
+    out.set_item("scales", shaped(py, splats.scales.into_flattened(), &[rows, 3])?)?;
+    out.set_item("opacities", shaped(py, splats.opacities, &[rows])?)?;
+    out.set_item("colors", PyArray1::from_vec(py, colors.concat()))?;
     let viewmats = cameras.iter().flat_map(|c| c.viewmat.into_iter().chain([[0.0; 4]]).flatten());
     out.set_item("viewmats", shaped(py, viewmats.map(T::from_f64).collect(), &[cameras.len(), 4, 4])?)?;
     let ks = cameras.iter().flat_map(|c| [c.fx, 0.0, c.cx, 0.0, c.fy, c.cy, 0.0, 0.0, 0.0]);
     out.set_item("Ks", shaped(py, ks.map(T::from_f64).collect(), &[cameras.len(), 3, 3])?)?;
-    out.set_item("means2d", shaped(py, means2d, &[cameras.len(), rows, 2])?)?;
+    out.set_item("means2d", shaped(py, means2d.into_iter().flatten().flatten().collect(), &[cameras.len(), rows, 2])?)?;
     Ok(out)
 }
 

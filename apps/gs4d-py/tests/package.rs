@@ -1,7 +1,7 @@
-//! The Python package with the native module of this build, and its own tests.
+//! The Python package as a wheel with the native module of this build, installed by pip, and its own tests.
 //!
-//! `cargo test -p gs4d-py --features python` runs them by the interpreter `GS4D_PYTHON`, `python3` by default, which needs numpy
-//! and pytest; they are skipped by name where it has not.
+//! `cargo test -p gs4d-py --features python` runs them by the interpreter `GS4D_PYTHON`, `python3` by default, which needs numpy,
+//! pytest and pip; they are skipped by name where it has not. Nothing is installed among its packages.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -13,28 +13,29 @@ fn built() -> PathBuf {
     exe.parent().expect("a folder of the build").to_owned()
 }
 
-/// Names of the native module: as cargo calls it, and as Python does.
-fn names() -> (&'static str, &'static str) {
-    match std::env::consts::OS {
-        "windows" => ("gs4d_py.dll", "_gs4d.pyd"),
-        "macos" => ("libgs4d_py.dylib", "_gs4d.abi3.so"),
-        _ => ("libgs4d_py.so", "_gs4d.abi3.so"),
-    }
+/// Cargo's name of the native module.
+fn module() -> String {
+    format!("{}gs4d_py{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX)
 }
 
-/// The package as a wheel would install it.
-fn assemble(root: &Path) {
-    let package = root.join("gs4d");
-    std::fs::create_dir_all(&package).expect("a folder");
-    let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("python/gs4d");
-    for entry in std::fs::read_dir(&sources).expect("the package's sources") {
-        let path = entry.expect("an entry").path();
-        if path.extension().is_some_and(|e| e == "py") {
-            std::fs::copy(&path, package.join(path.file_name().expect("a name"))).expect("a copy");
-        }
-    }
-    let (from, to) = names();
-    std::fs::copy(built().join(from), package.join(to)).unwrap_or_else(|e| panic!("{from}: {e}"));
+/// Runs the interpreter in the folder of the package; its standard output.
+fn run(python: &mut Command) -> String {
+    let output = python.current_dir(env!("CARGO_MANIFEST_DIR")).output().expect("an interpreter");
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success(), "{python:?}: {text}{}", String::from_utf8_lossy(&output.stderr));
+    text
+}
+
+/// Packs the wheel and installs it in `root`.
+fn install(python: &str, root: &Path) {
+    let _ = std::fs::remove_dir_all(root);
+    std::fs::create_dir_all(root).expect("a folder");
+    let mut pack = Command::new(python);
+    pack.arg("tests/pack_wheel.py").arg(built().join(module())).arg(env!("CARGO_PKG_VERSION")).arg(root);
+    let wheel = run(&mut pack);
+    let mut pip = Command::new(python);
+    pip.args(["-m", "pip", "install", "-q", "--no-index", "--no-deps", "--no-compile", "--disable-pip-version-check"]);
+    run(pip.arg("--target").arg(root.join("packages")).arg(wheel.trim()));
 }
 
 /// Not `println!`, whose output the test harness captures: skipped tests are to be seen.
@@ -45,25 +46,21 @@ fn say(text: &str) {
 #[test]
 fn the_tests_of_the_package_pass() {
     let python = std::env::var("GS4D_PYTHON").unwrap_or_else(|_| "python3".into());
-    let has = Command::new(&python).args(["-c", "import numpy, pytest"]).output();
+    let has = Command::new(&python).args(["-c", "import numpy, pip, pytest"]).output();
     if !has.is_ok_and(|output| output.status.success()) {
         say(&format!(
-            "SKIPPED Python: {python} with numpy and pytest is not there (GS4D_PYTHON names the interpreter)"
+            "SKIPPED Python: {python} with numpy, pip and pytest is not there (GS4D_PYTHON names the interpreter)"
         ));
         return;
     }
     let root = Path::new(env!("CARGO_TARGET_TMPDIR")).join("package");
-    assemble(&root);
+    install(&python, &root);
     let mut tests = Command::new(&python);
-    tests
-        .args(["-m", "pytest", "-q", "-rs", "-p", "no:cacheprovider", "tests"])
-        .current_dir(env!("CARGO_MANIFEST_DIR"));
-    tests.env("PYTHONPATH", &root).env("PYTHONDONTWRITEBYTECODE", "1");
+    tests.args(["-m", "pytest", "-q", "-rs", "-p", "no:cacheprovider", "tests"]);
+    tests.env("PYTHONPATH", root.join("packages")).env("PYTHONDONTWRITEBYTECODE", "1");
     let program = built().join("..").join(format!("gs4d{}", std::env::consts::EXE_SUFFIX));
     if program.is_file() {
         tests.env("GS4D_PROGRAM", program);
     }
-    let output = tests.output().expect("an interpreter");
-    say(&String::from_utf8_lossy(&output.stdout));
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    say(&run(&mut tests));
 }

@@ -1,15 +1,23 @@
 """What the package accepts and refuses, threads, and the interpreter's lock."""
 
+import importlib.metadata
 import multiprocessing
 import os
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import gs4d
 from scenes import scene
+
+
+def test_the_package_is_the_one_that_pip_installed():
+    files = {Path(file.locate()).resolve() for file in importlib.metadata.files("gs4d")}
+    assert {Path(module.__file__).resolve() for module in (gs4d, gs4d._gs4d)} <= files
+    assert any("numpy" in requirement for requirement in importlib.metadata.requires("gs4d"))
 
 
 def drawn(**changes):
@@ -46,6 +54,7 @@ def drawn(**changes):
     ({"near_plane": -1.0}, ValueError, "near_plane = -1"),
     ({"eps2d": float("nan")}, ValueError, "eps2d = NaN"),
     ({"max_alpha": 1.0}, ValueError, "max_alpha = 1"),
+    ({"constants": "INRIA"}, ValueError, "constants = 'INRIA' is not supported: use one of gsplat, inria"),
     ({"threads": 0}, ValueError, "threads = 0"),
     ({"camera_model": "fisheye"}, ValueError, "camera_model = 'fisheye' is not supported: undistort the images first"),
     ({"covars": np.zeros((6, 3, 3))}, ValueError, "is not supported: give quats and scales"),

@@ -99,3 +99,22 @@ def test_a_kept_rendering_is_its_own():
     second = vjp(np.ones_like(renders))
     assert all(np.array_equal(first[key], second[key]) for key in first)
     assert np.abs(first["means"]).max() > 0
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_the_constants_of_inria(dtype):
+    """A splat above the cap everywhere gets gradients, and one nearer than 0.2 is culled; with gsplat's constants neither."""
+    one = {"means": [[0, 0, 2]], "quats": [[1, 0, 0, 0]], "scales": [[50, 50, 50]], "opacities": [1], "colors": [[1, 1, 1]],
+           "viewmats": np.eye(4)[None], "Ks": [[[8, 0, 4], [0, 8, 4], [0, 0, 1]]]}
+    one = {key: np.array(value, dtype) for key, value in one.items()}
+
+    def drawn(z, **options):
+        arguments = {**one, "means": np.array([[0, 0, z]], dtype), "width": 8, "height": 8, **options}
+        renders, _, _, vjp = gs4d.rasterization_vjp(**arguments)
+        return renders, vjp(np.ones_like(renders))["opacities"][0]
+
+    (capped, none), (passed, some) = drawn(2), drawn(2, constants="inria")
+    assert np.array_equal(capped, passed) and none == 0 and some > 100
+    near, far = drawn(0.15, constants="gsplat")[0], drawn(0.15, constants="inria")[0]
+    assert near.max() > 0.9 and not far.any()
+    assert not drawn(0.25, constants="inria", near_plane=0.3)[0].any() and drawn(0.25, constants="inria")[0].any()

@@ -8,3 +8,4 @@ mod golden;
 mod kernels;
 mod production;
 mod reference;
+mod views;

@@ -38,6 +38,11 @@ IGNORED = ("packed", "tile_size", "channel_chunk", "segmented")
 #: Names of the arrays, in the order of the arguments.
 ARRAYS = ("means", "quats", "scales", "opacities", "colors", "viewmats", "Ks", "backgrounds")
 
+#: Constants of the two published rasterisers where they differ: the least near plane, and whether samples above ``max_alpha``
+#: get gradients. INRIA's kernels cull at 0.2 whatever near plane is asked for, and their backward ignores the cap
+#: (diff-gaussian-rasterization: ``in_frustum``, ``renderCUDA``).
+CONSTANTS = {"gsplat": (float("-inf"), False), "inria": (0.2, True)}
+
 _MODES = {"RGB": (True, None), "D": (False, "D"), "ED": (False, "ED"), "RGB+D": (True, "D"), "RGB+ED": (True, "ED")}
 _MOST_PIXELS = 32768
 
@@ -46,11 +51,14 @@ class Plan:
     """Arguments that have passed: the sizes, and the settings of the native module. Arrays need a shape and a dtype only."""
 
     def __init__(self, arrays, *, width, height, near_plane, far_plane, eps2d, sh_degree, render_mode, rasterize_mode,
-                 max_alpha, threads):
+                 max_alpha, constants, threads):
         if render_mode not in _MODES:
             raise ValueError(f"render_mode = {render_mode!r} is not supported: use one of {', '.join(_MODES)}")
         if rasterize_mode not in ("classic", "antialiased"):
             raise ValueError(f"rasterize_mode = {rasterize_mode!r} is not supported: use 'classic' or 'antialiased'")
+        if constants not in CONSTANTS:
+            raise ValueError(f"constants = {constants!r} is not supported: use one of {', '.join(CONSTANTS)}")
+        least_near, pass_through = CONSTANTS[constants]
         self.has_color, self.depth = _MODES[render_mode]
         self.width, self.height = _side("width", width), _side("height", height)
         self.dtype = _dtype(arrays["means"])
@@ -74,10 +82,11 @@ class Plan:
         self.settings = {
             "width": self.width,
             "height": self.height,
-            "near": float(near_plane),
+            "near": max(float(near_plane), least_near),
             "far": float(far_plane),
             "dilation": float(eps2d),
             "max_alpha": float(max_alpha),
+            "pass_through": pass_through,
             "antialias": rasterize_mode == "antialiased",
             "degree": self.degree,
             "channels": self.channels,

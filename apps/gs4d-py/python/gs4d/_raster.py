@@ -13,7 +13,7 @@ def rasterization(means, quats, scales, opacities, colors, viewmats, Ks, width, 
                   radius_clip=0.0, eps2d=0.3, sh_degree=None, packed=True, tile_size=None, backgrounds=None,
                   render_mode="RGB", sparse_grad=False, absgrad=False, rasterize_mode="classic", channel_chunk=32,
                   distributed=False, camera_model="pinhole", segmented=False, covars=None, *, max_alpha=0.99,
-                  threads=None, **refused):
+                  constants="gsplat", threads=None, **refused):
     """Renders N splats from C cameras. Arrays of float32 take the fast path, of float64 the reference, splats × pixels.
 
     Args:
@@ -32,6 +32,8 @@ def rasterization(means, quats, scales, opacities, colors, viewmats, Ks, width, 
         render_mode: "RGB"; "D" depth Σ w z; "ED" depth over alpha; "RGB+D" and "RGB+ED" have the depth as last channel.
         rasterize_mode: "classic", or "antialiased" (Mip-Splatting's factor on the opacities).
         max_alpha: cap of a sample's alpha. 0.99 is that of INRIA and of gsplat since 1.6; older ones had 0.999.
+        constants: "gsplat", or "inria" for what INRIA's rasteriser does otherwise: splats nearer than 0.2 are culled whatever
+            ``near_plane`` is, and a sample above ``max_alpha`` gets the gradient that it has without the cap.
         threads: 1 to 1024; None for one per core. The result is the same bits for any number.
         packed, tile_size, channel_chunk, segmented: concern GPUs; no effect.
 
@@ -53,7 +55,7 @@ def rasterization_vjp(means, quats, scales, opacities, colors, viewmats, Ks, wid
                       far_plane=1e10, radius_clip=0.0, eps2d=0.3, sh_degree=None, packed=True, tile_size=None,
                       backgrounds=None, render_mode="RGB", sparse_grad=False, absgrad=False, rasterize_mode="classic",
                       channel_chunk=32, distributed=False, camera_model="pinhole", segmented=False, covars=None, *,
-                      max_alpha=0.99, threads=None, **refused):
+                      max_alpha=0.99, constants="gsplat", threads=None, **refused):
     """As :func:`rasterization`, and as fourth result a function for the gradients.
 
     ``vjp(d_renders, d_alphas=None)`` takes the gradient of a loss with respect to ``renders`` and ``alphas`` and returns a
@@ -61,7 +63,8 @@ def rasterization_vjp(means, quats, scales, opacities, colors, viewmats, Ks, wid
     sets ``meta["means2d_grad"]`` [C, N, 2], the gradient of the projected centres per pixel, for densification.
 
     Entries of ``viewmats`` count as independent numbers (the camera centre is −R⁻¹ T); those that a camera does not have,
-    the last row and the skew, get zeros. What culls or orders splats has no gradient, nor has a sample above ``max_alpha``.
+    the last row and the skew, get zeros. What culls or orders splats has no gradient, nor has a sample above ``max_alpha``
+    with gsplat's constants.
 
     >>> import numpy as np
     >>> import gs4d
@@ -86,7 +89,7 @@ def plan(arguments):
     """The arrays, and the plan of everything else. Takes the arguments out of the dictionary."""
     arrays = {name: arguments.pop(name) for name in ARRAYS}
     names = ("width", "height", "near_plane", "far_plane", "eps2d", "sh_degree", "render_mode", "rasterize_mode",
-             "max_alpha", "threads")
+             "max_alpha", "constants", "threads")
     options = {name: arguments.pop(name) for name in names}
     refuse(arguments)
     return arrays, Plan(arrays, **options)

@@ -14,7 +14,7 @@ def rasterization(means, quats, scales, opacities, colors, viewmats, Ks, width, 
                   radius_clip=0.0, eps2d=0.3, sh_degree=None, packed=True, tile_size=None, backgrounds=None,
                   render_mode="RGB", sparse_grad=False, absgrad=False, rasterize_mode="classic", channel_chunk=32,
                   distributed=False, camera_model="pinhole", segmented=False, covars=None, *, max_alpha=0.99,
-                  threads=None, **refused):
+                  constants="gsplat", threads=None, **refused):
     """As :func:`gs4d.rasterization`, of JAX arrays, also under ``jax.jit`` with sizes and options static. float64 needs
     ``jax_enable_x64``. Backward draws again: nothing is kept between the passes. Of the dictionary, splats on the screen have
     no gradients, and ``means2d_grad`` is not there."""

@@ -13,7 +13,7 @@ def rasterization(means, quats, scales, opacities, colors, viewmats, Ks, width, 
                   radius_clip=0.0, eps2d=0.3, sh_degree=None, packed=True, tile_size=None, backgrounds=None,
                   render_mode="RGB", sparse_grad=False, absgrad=False, rasterize_mode="classic", channel_chunk=32,
                   distributed=False, camera_model="pinhole", segmented=False, covars=None, *, max_alpha=0.99,
-                  threads=None, **refused):
+                  constants="gsplat", threads=None, **refused):
     """As :func:`gs4d.rasterization`, of tensors. Gradients reach every tensor, ``viewmats``, ``Ks`` and ``backgrounds`` too;
     ``meta["means2d_grad"]`` [C, N, 2] is there after backward. Second derivatives are refused by torch."""
     arguments = _raster.named(locals())
