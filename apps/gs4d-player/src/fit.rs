@@ -8,12 +8,18 @@ const EXPONENTS: [f32; 2] = [-30.0, 10.0];
 /// Largest multiple of a step.
 const MOST: f32 = 1e9;
 
-/// How far each component of a splat's attributes may be from the scene.
+/// What a component of a quaternion loses in the 16 bits of [`crate::words`].
+const QUAT_WORD: f32 = 0.5 / 32767.0;
+/// What the logarithm of a scale between 10⁻⁶ and 10⁶ loses there.
+const LOG_WORD: f32 = 1.0 / 256.0;
+
+/// How far each component of a splat's attributes may be from the scene, so that what is drawn keeps to the tolerance.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Bounds {
     /// World units.
     pub(crate) mean: f32,
-    /// Of a unit quaternion: half the angle.
+    /// Of a unit quaternion, root mean square of its components. Where that is `b`, the four together are off by `2 b`; the sine of half the
+    /// angle that they turn by is no more, and what is at a distance `r` is moved by `2 r` times that sine: `4 r b` at most.
     pub(crate) quat: f32,
     /// Of the natural logarithm.
     pub(crate) log_scale: f32,
@@ -29,12 +35,17 @@ impl Bounds {
         let seen = opacity.clamp(0.05, 1.0);
         Self {
             mean: tolerance * size.least,
-            quat: (0.5 * tolerance * size.least / size.most).clamp(1e-3, 0.1),
-            log_scale: tolerance,
+            quat: (0.25 * tolerance * size.least / size.most - QUAT_WORD).clamp(QUAT_WORD, 0.1),
+            log_scale: (tolerance.ln_1p() - LOG_WORD).max(LOG_WORD),
             opacity: (0.1 * tolerance).max(0.002),
             color: (0.1 * tolerance / seen).clamp(0.002, 0.1),
         }
     }
+}
+
+/// How far a value of so many components is off: of a quaternion the root mean square, else the largest.
+fn off(errors: impl Iterator<Item = f32>, width: usize) -> f32 {
+    if width == 4 { 0.5 * errors.map(|e| e * e).sum::<f32>().sqrt() } else { errors.fold(0.0, |m, e| m.max(e.abs())) }
 }
 
 /// Adds a splat to a track, from its values `[frames, width]`.
@@ -56,7 +67,7 @@ pub(crate) fn add(track: &mut Track, values: &[f32], tolerance: f32) {
             (from + 1..to).all(|m| {
                 let share = (m - from) as f32 / (to - from) as f32;
                 let line = row(from).iter().zip(row(to)).map(|(&a, &b)| step * (a as f32 + share * (b - a) as f32));
-                line.zip(&values[m * width..]).all(|(a, b)| (a - b).abs() <= tolerance)
+                off(line.zip(&values[m * width..]).map(|(a, b)| a - b), width) <= tolerance
             })
         };
         let next = (from + 2..count).take_while(|&to| fits(to)).last().unwrap_or(from + 1);
@@ -69,16 +80,13 @@ pub(crate) fn add(track: &mut Track, values: &[f32], tolerance: f32) {
 
 /// The middle of the range of each component, if no value is farther from it than three quarters of the tolerance.
 fn still(values: &[f32], width: usize, tolerance: f32) -> Option<Vec<f32>> {
-    let mut middle = Vec::with_capacity(width);
-    for c in 0..width {
+    let range = |c: usize| {
         let column = values.iter().skip(c).step_by(width);
-        let [low, high] = column.fold([f32::INFINITY, f32::NEG_INFINITY], |[a, b], &v| [a.min(v), b.max(v)]);
-        if high - low > 1.5 * tolerance {
-            return None;
-        }
-        middle.push(0.5 * (low + high));
-    }
-    Some(middle)
+        column.fold([f32::INFINITY, f32::NEG_INFINITY], |[a, b], &v| [a.min(v), b.max(v)])
+    };
+    let ranges: Vec<[f32; 2]> = (0..width).map(range).collect();
+    let near = off(ranges.iter().map(|[low, high]| 0.5 * (high - low)), width) <= 0.75 * tolerance;
+    near.then(|| ranges.iter().map(|[low, high]| 0.5 * (low + high)).collect())
 }
 
 #[cfg(test)]
@@ -97,7 +105,7 @@ mod tests {
         let mut worst = 0.0f32;
         for (frame, row) in values.chunks_exact(track.width).enumerate() {
             track.at(0, frame as f32, &mut out);
-            worst = out.iter().zip(row).fold(worst, |w, (a, b)| w.max((a - b).abs()));
+            worst = worst.max(off(out.iter().zip(row).map(|(a, b)| a - b), track.width));
         }
         worst
     }
@@ -107,7 +115,7 @@ mod tests {
         for seed in 0..200 {
             let mut r = Rng::new(seed, "keys", 0, 0);
             let (width, tolerance, speed) =
-                (1 + seed as usize % 3, 0.003 * 1.1f32.powi((seed % 40) as i32), r.range(0.0, 9.0));
+                (1 + seed as usize % 4, 0.003 * 1.1f32.powi((seed % 40) as i32), r.range(0.0, 9.0));
             let values: Vec<f32> = (0..60 * width)
                 .map(|k| (0.1 * speed * (k / width) as f32 + k as f32).sin() + 0.002 * r.normal())
                 .collect();

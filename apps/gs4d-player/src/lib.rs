@@ -33,9 +33,16 @@
 //! and written as base64.
 //!
 //! # The error bound
-//! [`Tolerance`] is a share of the standard deviation that a splat has in the image of the nearest camera, the pixel's own included:
-//! no coordinate of a mean is off by more, no scale is wrong by a larger factor, no rotation turns its ends by more. What this costs in PSNR is
-//! measured by rendering [`Clip::splats`] of the file as it was read back.
+//! [`Tolerance`] `t` is a share of `d`, the least standard deviation that a splat has at any frame, together with that of a pixel where the
+//! nearest camera is. At every frame, as the page draws it:
+//! - no coordinate of a mean is off by more than `t d`, but for the rounding of `f32`;
+//! - no axis of a splat, one standard deviation long, has its end turned away by more than `t d`, or by 2⁻¹³ of the longest axis where that is
+//!   more: the renderer has quaternions of 16 bits;
+//! - no scale is wrong by a larger factor than `1 + t`, or 1.008 where that is more: the renderer has logarithms of 16 bits.
+//!
+//! Between two frames the same holds against the straight line between their values; an end may be off by √2 as much where a splat turns by half
+//! a turn from one to the other. What a scene does beside that line is not looked at. Without a camera that a splat is in front of, a pixel is
+//! as large as for the other splats. What all this costs in PSNR is measured by rendering [`Clip::splats`] of the file as it was read back.
 //!
 //! # What it leaves out
 //! Harmonics that change with time are averaged over it; colours are clamped to 0..1 where they have no harmonics; the page needs

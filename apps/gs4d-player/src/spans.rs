@@ -217,6 +217,9 @@ impl Path {
         if to == from {
             return Span { frames: from..from + 1, rests: from == last };
         }
+        // Over a short span within its bounds, a line is nearer to what moves than its middle.
+        let moves = self.means[from].distance(self.means[to]) > self.mean && self.is_straight(from, to, starts);
+        let rests = rests && !moves;
         // What rests at the last frame stays; what moves has arrived there.
         let end = if to == last && rests { last + 1 } else { to };
         Span { frames: from..end, rests }

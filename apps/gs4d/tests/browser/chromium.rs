@@ -182,6 +182,25 @@ impl Chromium {
         mouse("mouseReleased", last, 0);
     }
 
+    /// Moves two fingers, each from its first place to its second.
+    pub fn pinch(&mut self, fingers: [[[f64; 2]; 2]; 2]) {
+        let mut touch = |kind: &str, share: Option<f64>| {
+            let place = |f: usize, s: f64| [0, 1].map(|c| fingers[f][0][c] + s * (fingers[f][1][c] - fingers[f][0][c]));
+            let point = |f: usize, s: f64| json!({"id": f, "x": place(f, s)[0], "y": place(f, s)[1]});
+            let points: Vec<Value> = share.map(|s| (0..2).map(|f| point(f, s)).collect()).unwrap_or_default();
+            self.call("Input.dispatchTouchEvent", json!({"type": kind, "touchPoints": points}));
+        };
+        touch("touchStart", Some(0.0));
+        (1..=5).for_each(|k| touch("touchMove", Some(0.2 * f64::from(k))));
+        touch("touchEnd", None);
+    }
+
+    /// Makes the system prefer a colour scheme.
+    pub fn prefer(&mut self, scheme: &str) {
+        let feature = json!([{"name": "prefers-color-scheme", "value": scheme}]);
+        self.call("Emulation.setEmulatedMedia", json!({"features": feature}));
+    }
+
     /// The middle of an element.
     pub fn middle(&mut self, id: &str) -> [f64; 2] {
         let at = self.eval(&format!(

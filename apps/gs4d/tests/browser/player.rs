@@ -101,6 +101,68 @@ fn a_page_plays_the_scene() {
     }
 }
 
+#[test]
+#[ignore = "half a minute: cargo test -p gs4d --test browser -- --ignored --nocapture page_plays"]
+fn a_page_plays_by_buttons_keys_and_fingers() {
+    let Some(mut desk) = Desk::new() else { return };
+    let balls = desk.balls();
+    let run = desk.train(&balls, "fourdgs", &["--steps", "80"]);
+    let page = desk.dir.path().join("scene.html");
+    good(&["export", text(&run), "--times", "0..1:30", "--no-eval", "-q", "-o", text(&page)]);
+    desk.browser.resize(1000, 800);
+    desk.browser.open(&format!("file://{}", page.display()));
+    desk.browser.until("document.body && document.body.dataset.ready === '-1'");
+    buttons_and_keys(&mut desk);
+    fingers_and_scheme(&mut desk);
+    assert!(desk.browser.complaints.is_empty(), "{:?}", desk.browser.complaints);
+    desk.browser.leave();
+}
+
+fn buttons_and_keys(desk: &mut Desk) {
+    desk.browser.eval("setTime(0)");
+    let (first, begun) = (desk.browser.eval(DRAWN)[0].clone(), desk.browser.eval("$('now').textContent"));
+    desk.browser.click("play");
+    desk.browser.until("state.playing && state.t > 0.2 && $('play').getAttribute('aria-label') === 'Pause'");
+    desk.browser.eval("document.activeElement.blur()");
+    desk.browser.key(" ");
+    desk.browser.until("!state.playing && $('play').getAttribute('aria-label') === 'Play'");
+    assert_ne!(desk.browser.eval(DRAWN)[0], first, "the scene has moved");
+    assert_ne!(desk.browser.eval("$('now').textContent"), begun);
+    // Without a loop it stops at the end, with one it begins anew.
+    desk.browser.click("loop");
+    desk.browser.eval("document.activeElement.blur(); setTime(0.95)");
+    desk.browser.key(" ");
+    desk.browser.until("!state.playing && state.t === 1 && $('loop').getAttribute('aria-pressed') === 'false'");
+    desk.browser.click("loop");
+    desk.browser.eval("document.activeElement.blur(); setTime(0.95)");
+    desk.browser.key(" ");
+    desk.browser.until("state.playing && state.t < 0.5 && $('loop').getAttribute('aria-pressed') === 'true'");
+    desk.browser.eval("setTime(0.5)");
+    desk.browser.click("full");
+    desk.browser.until("document.fullscreenElement === document.documentElement");
+    desk.browser.eval("document.activeElement.blur()");
+    desk.browser.key("f");
+    desk.browser.until("document.fullscreenElement === null");
+}
+
+fn fingers_and_scheme(desk: &mut Desk) {
+    let (far, before) = (number(&desk.browser.eval("distance()")), desk.browser.eval(DRAWN)[0].clone());
+    let [x, y] = desk.browser.middle("stage");
+    // Twice as far apart.
+    desk.browser.pinch([[[x - 60.0, y], [x - 120.0, y]], [[x + 60.0, y], [x + 120.0, y]]]);
+    desk.browser.until("pointers.size === 0");
+    let near = number(&desk.browser.eval("distance()"));
+    assert!((near / far - 0.5).abs() < 0.05, "from {far} to {near}");
+    assert_ne!(desk.browser.eval(DRAWN)[0], before, "what is nearer looks larger");
+    let paper = "getComputedStyle(document.body).backgroundColor";
+    for (scheme, color) in [("light", "rgb(244, 245, 247)"), ("dark", "rgb(25, 26, 29)")] {
+        desk.browser.prefer(scheme);
+        desk.browser.until(&format!("{paper} === '{color}'"));
+        desk.shot(&format!("page-{scheme}"));
+    }
+    desk.browser.prefer("");
+}
+
 /// Milliseconds of the page's thread for a frame of a time that was not shown before, and of the worker for a new order.
 const WORK: &str = "(async () => {
   const begun = performance.now(), keys = [3, 17, 31, 45, 59].map((k) => clip.key(k, null)), key = (performance.now() - begun) / 5;
