@@ -19,6 +19,8 @@ pub enum ImportError {
     Failed {
         /// Its name.
         program: &'static str,
+        /// How to install it.
+        install: &'static str,
         /// What it was asked for, after "to".
         task: String,
         /// How it ended.
