@@ -2,6 +2,7 @@
 
 use gs_data::DataError;
 use std::path::{Path, PathBuf};
+use std::process::ExitStatus;
 
 /// What stopped an import. Stages that were done stay done.
 #[derive(Debug, thiserror::Error)]
@@ -24,7 +25,7 @@ pub enum ImportError {
         /// What it was asked for, after "to".
         task: String,
         /// How it ended.
-        status: String,
+        status: ExitStatus,
         /// Its last lines.
         tail: Vec<String>,
         /// The file with all of its lines.

@@ -194,8 +194,8 @@ impl Runner<'_> {
         if status.success() {
             return Ok(());
         }
-        let (Program { name, install }, status) = (call.program, status.to_string());
-        Err(ImportError::Failed { program: name, install, task: call.task, status, tail, log: self.log.clone() })
+        let Program { name: program, install } = call.program;
+        Err(ImportError::Failed { program, install, task: call.task, status, tail, log: self.log.clone() })
     }
 
     /// Hears all output; gives the last lines.
