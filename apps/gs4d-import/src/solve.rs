@@ -243,7 +243,7 @@ impl Job<'_> {
         Err(ImportError::Cameras {
             what: format!("COLMAP could place {} of {} key frames", most.unwrap_or(0), keys.len()),
             fix: "the camera should move sideways, not only turn, before a background with texture that mostly stands still; more key frames: \
-                --keyframes 200; of a fisheye the field of view: --fov DEGREES; a part of the video: --start, --duration; import/log.txt has what COLMAP said"
+                --keyframes 200; a part of the video: --start, --duration; import/log.txt has what COLMAP said"
                 .to_owned(),
         })
     }

@@ -64,7 +64,7 @@ pub struct ImportVerb {
     /// All cameras have the same lens and zoom.
     #[arg(long)]
     same_lens: bool,
-    /// The horizontal field of view of the cameras, degrees, where it is known; two cameras and fisheyes need it.
+    /// The horizontal field of view of the cameras, degrees, where it is known; two cameras need it.
     #[arg(long, value_name = "DEGREES", value_parser = parse::field_of_view)]
     fov: Option<f64>,
     /// Moments of cameras at rest that COLMAP gets [default: so many that there are some 60 images, at most 4].

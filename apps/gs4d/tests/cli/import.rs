@@ -255,7 +255,7 @@ fn an_import_that_is_stopped_ends_its_programs_and_goes_on() {
 
 /// Films by `n` cameras, `degrees` from the first to the last, of a moving scene, imported by the real programs and trained on: the mean
 /// PSNR of the held-out views.
-fn of_films(n: usize, degrees: f64, more: &[&str]) -> Option<f64> {
+fn of_films(n: usize, degrees: f64, steps: &str, more: &[&str]) -> Option<f64> {
     if !(has("ffmpeg", "-version") && has("colmap", "help")) {
         println!("SKIPPED import::films_of_{n}: ffmpeg and colmap are not both installed");
         return None;
@@ -276,7 +276,7 @@ fn of_films(n: usize, degrees: f64, more: &[&str]) -> Option<f64> {
     let call = gs4d(&all);
     println!("{}{}", call.err, call.out);
     assert_eq!(call.code, 0);
-    let psnr = trained(&data, &run, &["-m", "fourdgs", "--steps", "6000"]);
+    let psnr = trained(&data, &run, &["-m", "fourdgs", "--steps", steps]);
     println!("{n} films: {psnr:.2} dB at held-out views");
     Some(psnr)
 }
@@ -285,15 +285,15 @@ fn of_films(n: usize, degrees: f64, more: &[&str]) -> Option<f64> {
 #[test]
 #[ignore = "COLMAP and training take minutes: cargo test -p gs4d --test cli import::films -- --ignored --nocapture"]
 fn films_of_six_cameras_become_a_scene() {
-    of_films(6, 75.0, &[]).into_iter().for_each(|psnr| assert!(psnr >= 25.0, "{psnr}"));
+    of_films(6, 75.0, "6000", &[]).into_iter().for_each(|psnr| assert!(psnr >= 25.0, "{psnr}"));
 }
 
-/// Every eighth moment of both cameras is held out.
+/// Every eighth frame is held out.
 #[test]
 #[ignore = "COLMAP and training take minutes: cargo test -p gs4d --test cli import::films -- --ignored --nocapture"]
 fn films_of_two_cameras_become_a_scene() {
     let fov = 0.9f64.to_degrees().to_string();
-    of_films(2, 15.0, &["--fov", &fov]).into_iter().for_each(|psnr| assert!(psnr >= 25.0, "{psnr}"));
+    of_films(2, 15.0, "2400", &["--fov", &fov]).into_iter().for_each(|psnr| assert!(psnr >= 25.0, "{psnr}"));
 }
 
 /// Pictures of a scene at rest in no order, with masks, imported by the real program and trained on.
