@@ -85,11 +85,23 @@ pub(crate) struct Features {
     pub(crate) wide: bool,
 }
 
+/// Which images are matched with each other.
+pub(crate) enum Pairs {
+    All,
+    /// Each with so many that follow it in order of names.
+    Following(usize),
+    /// Two names on a line.
+    Listed(Vec<String>),
+}
+
 /// Paths from the data set.
 const DATABASE: &str = "import/database.db";
 const LIST: &str = "import/list.txt";
 const SPARSE: &str = "import/sparse";
 const REGISTERED: &str = "import/registered";
+
+/// The last line of a mapper that found no images to begin with.
+const NO_MODEL: &str = "failed to create sparse model";
 
 /// Hears how many of how many.
 pub(crate) type Tell<'a> = &'a mut dyn FnMut(usize, Option<usize>);
@@ -185,18 +197,29 @@ impl Colmap<'_> {
         Ok(())
     }
 
-    /// Matches images: every pair, or each with so many that follow it in order of names; `guided` searches again along epipolar lines.
-    pub(crate) fn match_images(&self, overlap: Option<usize>, guided: bool, tell: Tell<'_>) -> Result<(), ImportError> {
+    /// Matches images; `guided` searches again along epipolar lines.
+    pub(crate) fn match_images(&self, pairs: &Pairs, guided: bool, tell: Tell<'_>) -> Result<(), ImportError> {
         let mut wanted = self.device("matching");
         if guided {
             wanted.push(("FeatureMatching.guided_matching|SiftMatching.guided_matching", "1".to_owned()));
         }
-        wanted.extend(overlap.map(|n| ("SequentialMatching.overlap", n.to_string())));
-        let command = if overlap.is_some() { "sequential_matcher" } else { "exhaustive_matcher" };
-        self.step(command, "match images", &["--database_path", DATABASE], &wanted, tell)
+        let mut fixed = vec!["--database_path", DATABASE];
+        let command = match pairs {
+            Pairs::All => "exhaustive_matcher",
+            Pairs::Following(n) => {
+                wanted.push(("SequentialMatching.overlap", n.to_string()));
+                "sequential_matcher"
+            }
+            Pairs::Listed(pairs) => {
+                self.write_list(pairs)?;
+                fixed.extend(["--match_list_path", LIST, "--match_type", "pairs"]);
+                "matches_importer"
+            }
+        };
+        self.step(command, "match images", &fixed, &wanted, tell)
     }
 
-    /// Reconstructs; the largest model, or none.
+    /// Reconstructs; the largest model, or none where no images fit together.
     pub(crate) fn map(&self, known_focal: bool, tell: Tell<'_>) -> Result<Option<Model>, ImportError> {
         clear(&self.data.join(SPARSE))?;
         create(&self.data.join(SPARSE))?;
@@ -208,8 +231,8 @@ impl Colmap<'_> {
         wanted.extend(self.threads.map(|n| ("Mapper.num_threads", n.to_string())));
         let fixed = ["--database_path", DATABASE, "--image_path", IMAGES, "--output_path", SPARSE];
         match self.step("mapper", "reconstruct the cameras", &fixed, &wanted, tell) {
-            // It fails where it finds no pair to begin with.
-            Ok(()) | Err(ImportError::Failed { .. }) => self.largest(),
+            Ok(()) => self.largest(),
+            Err(ImportError::Failed { tail, .. }) if tail.iter().any(|line| line.contains(NO_MODEL)) => Ok(None),
             Err(e) => Err(e),
         }
     }
@@ -251,8 +274,8 @@ impl Colmap<'_> {
         }
     }
 
-    fn write_list(&self, names: &[String]) -> Result<(), ImportError> {
-        let text: String = names.iter().map(|n| format!("{n}\n")).collect();
+    fn write_list(&self, lines: &[String]) -> Result<(), ImportError> {
+        let text: String = lines.iter().map(|line| format!("{line}\n")).collect();
         Ok(write_file(&self.data.join(LIST), true, |out| out.write_all(text.as_bytes()))?)
     }
 

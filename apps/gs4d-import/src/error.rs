@@ -2,6 +2,7 @@
 
 use gs_data::DataError;
 use std::path::{Path, PathBuf};
+use std::process::ExitStatus;
 
 /// What stopped an import. Stages that were done stay done.
 #[derive(Debug, thiserror::Error)]
@@ -19,10 +20,12 @@ pub enum ImportError {
     Failed {
         /// Its name.
         program: &'static str,
+        /// How to install it.
+        install: &'static str,
         /// What it was asked for, after "to".
         task: String,
         /// How it ended.
-        status: String,
+        status: ExitStatus,
         /// Its last lines.
         tail: Vec<String>,
         /// The file with all of its lines.

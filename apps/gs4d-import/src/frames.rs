@@ -20,6 +20,11 @@ pub(crate) fn camera_name(camera: usize) -> String {
     format!("cam{camera:02}")
 }
 
+/// COLMAP's name of an image of a camera.
+pub(crate) fn image_name(camera: usize, file: &Path) -> String {
+    format!("{}/{}", camera_name(camera), file.file_name().unwrap_or_default().to_string_lossy())
+}
+
 /// The size of frames: that of the video by a factor, its longer side at most so long.
 pub(crate) fn scaled(size: [u32; 2], scale: f64, longest: Option<u32>) -> [u32; 2] {
     let longer = f64::from(size[0].max(size[1])) * scale;

@@ -194,8 +194,8 @@ impl Runner<'_> {
         if status.success() {
             return Ok(());
         }
-        let (program, status) = (call.program.name, status.to_string());
-        Err(ImportError::Failed { program, task: call.task, status, tail, log: self.log.clone() })
+        let Program { name: program, install } = call.program;
+        Err(ImportError::Failed { program, install, task: call.task, status, tail, log: self.log.clone() })
     }
 
     /// Hears all output; gives the last lines.

@@ -1,8 +1,8 @@
 //! Cameras: of a rig at rest from a few moments, of moving cameras from key frames and then the rest; and the end of an import.
 
-use crate::colmap::{CameraModel, Colmap, Features, Lot, Model};
+use crate::colmap::{CameraModel, Colmap, Features, Lot, Model, Pairs};
 use crate::error::ImportError;
-use crate::frames::{IMAGES, MASKS, camera_name};
+use crate::frames::{IMAGES, MASKS, camera_name, image_name};
 use crate::look::Rig;
 use crate::poses::{Posed, RigPoses, central, rig, spread_over, upright};
 use crate::write::{Frame, moved, write};
@@ -10,7 +10,7 @@ use crate::{Event, Imported, ImportedCamera, Job, named};
 use gs_core::Camera;
 use gs_data::{PointCloud, Registered, decode::decode};
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Images of a rig that are matched with each other, about so many; most moments for that.
 const RIG_IMAGES: usize = 60;
@@ -80,10 +80,7 @@ impl Job<'_> {
             let files = self.files(camera)?;
             let first = decode(&files[list[0]], None)?;
             let size = [first.width, first.height].map(gs_core::cast::to_u32);
-            let name = |k: &usize| {
-                format!("{}/{}", camera_name(camera), files[*k].file_name().unwrap_or_default().to_string_lossy())
-            };
-            let names = list.iter().map(name);
+            let names = list.iter().map(|&k| image_name(camera, &files[k]));
             match lots.first_mut().filter(|_| self.settings().same_lens) {
                 Some(lot) if lot.size == size => lot.names.extend(names),
                 Some(lot) => {
@@ -103,7 +100,7 @@ impl Job<'_> {
         &mut self,
         frames: &[[usize; 2]],
         features: Features,
-        all_pairs: bool,
+        pairs: &Pairs,
     ) -> Result<Option<Model>, ImportError> {
         if !self.state.solving.extracted {
             self.colmap().forget()?;
@@ -113,8 +110,7 @@ impl Job<'_> {
             self.save()?;
         }
         if !self.state.solving.matched {
-            let overlap = (!all_pairs).then_some(OVERLAP);
-            self.call("matches", |colmap, tell| colmap.match_images(overlap, features.wide, tell))?;
+            self.call("matches", |colmap, tell| colmap.match_images(pairs, features.wide, tell))?;
             self.state.solving.matched = true;
             self.save()?;
         }
@@ -158,7 +154,7 @@ impl Job<'_> {
             if wide && !self.state.solving.extracted {
                 self.say("not all cameras could be placed: trying again with features for wider angles");
             }
-            if let Some(model) = self.model(&frames, self.features(wide, CameraModel::SimpleRadial), true)? {
+            if let Some(model) = self.model(&frames, self.features(wide, CameraModel::SimpleRadial), &Pairs::All)? {
                 let poses = rig(&model.read, n);
                 if poses.cameras.iter().all(Option::is_some) {
                     self.keep(&model)?;
@@ -227,10 +223,10 @@ impl Job<'_> {
     fn key_model(&mut self, keys: &[[usize; 2]]) -> Result<Model, ImportError> {
         let mut most: Option<usize> = None;
         while self.state.solving.attempt < ATTEMPTS {
-            let unordered = self.settings().unordered && keys.len() <= MOST_ALL_PAIRS;
             let again = self.state.solving.attempt > 0;
-            let all_pairs = keys.len() <= ALL_PAIRS || again || unordered;
-            if let Some(model) = self.model(keys, self.features(again, CameraModel::Opencv), all_pairs)? {
+            let every = keys.len() <= ALL_PAIRS || again || self.settings().unordered;
+            let pairs = if every { Pairs::All } else { Pairs::Following(OVERLAP) };
+            if let Some(model) = self.model(keys, self.features(again, CameraModel::Opencv), &pairs)? {
                 let placed = model.read.images.len();
                 let enough = if again || keys.len() > MOST_ALL_PAIRS { LEAST } else { ENOUGH };
                 if placed as f64 >= enough * keys.len() as f64 {
@@ -262,10 +258,12 @@ impl Job<'_> {
             let lots = self.lots(&others, &known)?;
             let features = self.features(self.state.solving.attempt > 0, CameraModel::Opencv);
             self.call("features of the other frames", |colmap, tell| colmap.extract(&lots, features, tell))?;
-            let overlap = (2 * step).max(5);
-            self.call("matches of the other frames", |colmap, tell| {
-                colmap.match_images(Some(overlap), features.wide, tell)
-            })?;
+            let pairs = match self.settings().unordered {
+                true => Pairs::Listed(self.with_keys(&others, keys)?),
+                false => Pairs::Following((2 * step).max(5)),
+            };
+            let matches = "matches of the other frames";
+            self.call(matches, |colmap, tell| colmap.match_images(&pairs, features.wide, tell))?;
             self.state.solving.rest_matched = true;
             self.save()?;
         }
@@ -273,13 +271,25 @@ impl Job<'_> {
         self.call("other frames placed", |colmap, tell| colmap.register(&model, &mut |done, _| tell(done, of)))
     }
 
+    /// Pairs of each of the other frames with every key frame.
+    fn with_keys(&self, others: &[[usize; 2]], keys: &[[usize; 2]]) -> Result<Vec<String>, ImportError> {
+        let files = self.all_files()?;
+        let name = |[camera, k]: &[usize; 2]| image_name(*camera, &files[*camera][*k]);
+        let keys: Vec<String> = keys.iter().map(name).collect();
+        let with = |other: String| keys.iter().map(move |key| format!("{key} {other}"));
+        Ok(others.iter().map(name).flat_map(with).collect())
+    }
+
+    fn all_files(&self) -> Result<Vec<Vec<PathBuf>>, ImportError> {
+        (0..self.sources.len()).map(|camera| self.files(camera)).collect()
+    }
+
     fn placed_moving(&mut self, model: Model, all: &[[usize; 2]]) -> Result<Placed, ImportError> {
         let by_name: BTreeMap<&str, &Registered> = model.read.images.iter().map(|i| (i.name.as_str(), i)).collect();
         let (mut frames, mut unplaced) = (Vec::new(), Vec::new());
+        let files = self.all_files()?;
         for &[camera, k] in all {
-            let file = &self.files(camera)?[k];
-            let name = format!("{}/{}", camera_name(camera), file.file_name().unwrap_or_default().to_string_lossy());
-            match by_name.get(name.as_str()) {
+            match by_name.get(image_name(camera, &files[camera][k]).as_str()) {
                 Some(image) => frames.push(([camera, k], Posed::from(*image))),
                 None => unplaced.push([camera, k]),
             }
@@ -301,18 +311,17 @@ impl Job<'_> {
         let change = upright(&cameras, &placed.points);
         let held_out = self.held_out(rig, &placed)?;
         let fps = self.state.cut.as_ref().map(|c| c.fps).filter(|_| !self.settings().unordered);
-        let files: Vec<Vec<_>> = (0..self.sources.len()).map(|c| self.files(c)).collect::<Result<_, _>>()?;
+        let files = self.all_files()?;
+        let numbered = rig == Rig::Fixed || self.sources.len() > 1;
         let with_masks = self.settings().masks.is_some();
         let frame = |([camera, k], posed): &([usize; 2], Posed)| {
-            let name = |file: &Path| {
-                format!("{}/{}", camera_name(*camera), file.file_name().unwrap_or_default().to_string_lossy())
-            };
+            let name = |file: &Path| image_name(*camera, file);
             let file = &files[*camera][*k];
             Frame {
                 file: format!("{IMAGES}/{}", name(file)),
                 mask: with_masks.then(|| format!("{MASKS}/{}", name(&file.with_extension("png")))),
                 time: fps.map(|fps| *k as f64 / fps),
-                camera: (rig == Rig::Fixed).then_some(*camera),
+                camera: numbered.then_some(*camera),
                 posed: Posed { camera: change.camera(&posed.camera), ..posed.clone() },
             }
         };

@@ -61,7 +61,7 @@ pub struct Settings {
     pub fov: Option<f64>,
     /// Moments at which a rig is reconstructed; none: as many as make some 60 images, at most 4.
     pub moments: Option<u32>,
-    /// Frames of moving cameras that are reconstructed together; the others are placed afterwards.
+    /// Frames of moving cameras, or images in any order, that are reconstructed together; the others are placed afterwards.
     pub keyframes: u32,
     /// Keep blurred and duplicate frames.
     pub keep_all: bool,

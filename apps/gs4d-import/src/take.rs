@@ -13,6 +13,9 @@ use std::path::PathBuf;
 /// Offsets of clocks that are looked for: at most this share of the shortest video, and so many seconds.
 const MAX_OFFSET_SHARE: f64 = 0.5;
 const MAX_OFFSET: f64 = 20.0;
+/// What is said of several cameras that move: all of their picture changes, whatever moves in it.
+const MOVING_CLOCKS: &str = "clocks of moving cameras cannot be seen and are taken as they are: --offsets gives them, and training with \
+    --set cameras.time=true learns what is left of a frame or two";
 /// Frames per second of images, where none is given.
 const IMAGE_FPS: f64 = 30.0;
 /// A rate below this is worth a word, frames per second.
@@ -102,7 +105,12 @@ impl Job<'_> {
                 fix: "give one for each video, in their order: --offsets 0,0.25,-0.1".to_owned(),
             });
         }
-        let Some(clocks) = self.state.clocks.clone() else { return Ok(vec![0.0; files.len()]) };
+        let Some(clocks) = self.state.clocks.clone() else {
+            if files.len() > 1 && self.settings().sync {
+                self.say(MOVING_CLOCKS);
+            }
+            return Ok(vec![0.0; files.len()]);
+        };
         for (k, (offset, known)) in clocks.offsets.iter().zip(&clocks.known).enumerate() {
             let name = files[k].display();
             self.say(match known {

@@ -6,6 +6,7 @@ use glam::DVec3;
 use gs_core::cast::{to_f32, to_usize};
 use gs_core::io::y4m;
 use gs_core::{Camera, Image};
+use gs_data::Lens;
 use std::io::Write;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -24,6 +25,11 @@ pub fn arc(k: f64, n: f64, degrees: f64, size: [u32; 2]) -> Camera {
 
 /// What a camera sees at a time, seconds: `[height, width, 3]`, the mean of four rays per pixel.
 pub fn picture(camera: &Camera, seconds: f64) -> Image {
+    through(&Lens::default(), camera, seconds)
+}
+
+/// The same through a lens; grey where it sees nothing before the camera.
+pub fn through(lens: &Lens, camera: &Camera, seconds: f64) -> Image {
     let (width, height) = (camera.width as usize, camera.height as usize);
     let eye = camera.position();
     let balls = balls(seconds);
@@ -31,7 +37,8 @@ pub fn picture(camera: &Camera, seconds: f64) -> Image {
     for at in 0..width * height {
         let (x, y) = ((at % width) as f64, (at / width) as f64);
         let rays = [[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]];
-        let colors = rays.map(|[u, v]| trace(eye, camera.ray(x + u, y + v), &balls));
+        let seen = |[u, v]: [f64; 2]| lens.pinhole_pixel(camera, x + u, y + v);
+        let colors = rays.map(|at| seen(at).map_or([0.5; 3], |p| trace(eye, camera.ray(p.x, p.y), &balls)));
         data.extend((0..3).map(|c| to_f32(colors.iter().map(|p| p[c]).sum::<f64>() / 4.0)));
     }
     Image { width, height, channels: 3, data }

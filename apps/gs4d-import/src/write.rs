@@ -17,7 +17,7 @@ pub(crate) struct Frame {
     pub(crate) mask: Option<String>,
     /// Seconds; none of unordered images.
     pub(crate) time: Option<f64>,
-    /// Number of its camera, in a rig.
+    /// Number of its camera, where there are several.
     pub(crate) camera: Option<usize>,
     pub(crate) posed: Posed,
 }

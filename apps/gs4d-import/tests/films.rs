@@ -1,11 +1,11 @@
 //! Films of a generated scene, imported by the real programs, held against the true cameras.
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 use gs_core::Camera;
-use gs_data::{DataOptions, Dataset, View};
+use gs_data::{DataOptions, Dataset, Lens, View};
 use gs_physics::kabsch::kabsch;
-use gs4d_import::testkit::{FPS, arc, has, picture, write_video};
-use gs4d_import::{Event, Imported, Rig, Settings, Source, import};
+use gs4d_import::testkit::{FPS, arc, has, picture, through, write_video};
+use gs4d_import::{CameraModel, Event, Imported, Rig, Settings, Source, import};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -164,4 +164,50 @@ fn one_moving_camera() {
         .collect();
     let worst = errors(&pairs);
     assert!(worst.angle < 0.5 && worst.distance < 0.01);
+}
+
+/// Angle, degrees, by which rays of the corners and of the middles of the edges of a distorted image differ at most from the true ones.
+fn lens_error(found: &View, camera: &Camera, lens: &Lens) -> f64 {
+    let ray = |c: &Camera, lens: &Lens, at: DVec2| {
+        let p = lens.pinhole_pixel(c, at.x, at.y).unwrap();
+        DVec3::new((p.x - c.cx) / c.fx, (p.y - c.cy) / c.fy, 1.0)
+    };
+    let size = DVec2::new(f64::from(camera.width), f64::from(camera.height));
+    let grid = (0..9).map(|k| DVec2::new(f64::from(k % 3), f64::from(k / 3)) * 0.5 * size);
+    let own = found.lens.unwrap_or_default();
+    let angle = |at| ray(&found.camera, &own, at).angle_between(ray(camera, lens, at)).to_degrees();
+    grid.map(angle).fold(0.0, f64::max)
+}
+
+/// Twenty frames of a camera that moves, through a lens.
+fn film_through(model: CameraModel, lens: &Lens) {
+    if !programs(model.name()) {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let path = |k: usize| arc(k as f64 / 4.0, 6.0, 60.0, SIZE);
+    let frame = |k: usize| through(lens, &path(k), k as f64 / f64::from(FPS));
+    let (video, data) = (dir.path().join("walk.mp4"), dir.path().join("data"));
+    write_video(&video, &(0..20).into_par_iter().map(frame).collect::<Vec<_>>()).unwrap();
+    let settings = Settings { rig: Some(Rig::Moving), model: Some(model), ..Settings::default() };
+    assert!(imported(vec![video], &data, &settings).frames >= 18);
+    let all = views(&data);
+    let number = |v: &View| (v.time.seconds * f64::from(FPS)).round() as usize;
+    let worst = errors(&all.iter().map(|v| (v.camera.clone(), path(number(v)))).collect::<Vec<_>>());
+    let bent = lens_error(&all[0], &path(number(&all[0])), lens);
+    println!("{}: rays of the lens within {bent:.3} degrees", model.name());
+    assert!(worst.angle < 0.5 && worst.distance < 0.01 && bent < 0.3);
+}
+
+#[test]
+#[ignore = "COLMAP takes minutes: cargo test -p gs4d-import --test films -- --ignored --nocapture"]
+fn a_film_through_a_simple_lens() {
+    film_through(CameraModel::SimpleRadial, &Lens { k1: -0.15, ..Lens::default() });
+}
+
+#[test]
+#[ignore = "COLMAP takes minutes: cargo test -p gs4d-import --test films -- --ignored --nocapture"]
+fn a_film_through_a_lens_of_opencv() {
+    let lens = Lens { k1: -0.2, k2: 0.05, p1: 0.004, p2: -0.003, ..Lens::default() };
+    film_through(CameraModel::Opencv, &lens);
 }

@@ -372,7 +372,7 @@ impl DataError {
             Self::Escape { place, path, inside: Some(inside) } => advice::relative(&place.file, path, inside),
             Self::Escape { .. } => "copy the file into the data folder and use a relative path".into(),
             Self::CameraModel { .. } => {
-                "undistort first (colmap image_undistorter), or use SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL or OPENCV"
+                "undistort first (colmap image_undistorter), or use SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV or OPENCV_FISHEYE"
                     .into()
             }
             Self::Decode { .. } => "open the image elsewhere; export it as 8 or 16 bit PNG or as JPEG".into(),

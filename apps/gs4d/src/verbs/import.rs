@@ -70,9 +70,9 @@ pub struct ImportVerb {
     /// Moments of cameras at rest that COLMAP gets [default: so many that there are some 60 images, at most 4].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
     moments: Option<u32>,
-    /// Frames of moving cameras that are reconstructed together; the others are placed afterwards.
-    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(3..=100_000))]
-    keyframes: u32,
+    /// Frames of moving cameras that are reconstructed together; the others are placed afterwards [default: 100, with --unordered 300].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(3..=100_000))]
+    keyframes: Option<u32>,
     /// Keep blurred and duplicate frames.
     #[arg(long)]
     keep_all: bool,
@@ -186,7 +186,7 @@ impl ImportVerb {
             same_lens: self.same_lens,
             fov: self.fov,
             moments: self.moments,
-            keyframes: self.keyframes,
+            keyframes: self.keyframes.unwrap_or(if self.unordered { 300 } else { 100 }),
             keep_all: self.keep_all,
             held_out: self.held_out,
             gpu: self.gpu,
@@ -218,9 +218,9 @@ impl Failure {
             E::Missing { install, .. } => Failure::new(Class::Usage, "import.program", text)
                 .why("frames and cameras are found by other people's programs")
                 .remedy(format!("{install}; then the same command again: it goes on where it stopped")),
-            E::Failed { log, .. } => Failure::new(Class::Io, "import.program", text)
+            E::Failed { install, log, .. } => Failure::new(Class::Io, "import.program", text)
                 .place(log.display())
-                .remedy("fix what it says; then the same command again: it goes on where it stopped"),
+                .remedy(format!("fix what it says; if the program itself is at fault, install it anew: {install}; then the same command again: it goes on where it stopped")),
             E::Stopped { .. } => Failure::new(Class::Interrupted, "interrupted", text)
                 .remedy("the same command again goes on where it stopped"),
             E::Input { path, why, fix, .. } => {
