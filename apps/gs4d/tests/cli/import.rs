@@ -319,7 +319,7 @@ fn pictures_without_order_become_a_scene() {
         gs_core::io::images::save_png(&masks.join(&name), &mask, false).unwrap();
     }
     let (data, run) = (at("data"), at("run"));
-    let what = ["--images", text(&pictures), "--unordered", "--keyframes", "16", "--masks", text(&masks)];
+    let what = ["--images", text(&pictures), "--unordered", "--masks", text(&masks)];
     let call = gs4d(&[&["import", "-o", text(&data)], &what[..]].concat());
     println!("{}{}", call.err, call.out);
     assert_eq!(call.code, 0);
