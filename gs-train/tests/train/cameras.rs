@@ -207,8 +207,6 @@ fn compare(label: &str, method: &str, truth: &Arc<Dataset>, over: &[&str], focal
         let [shift, focal] = [shift, focal].map(|share| 100.0 * share);
         println!("| {label} | {seed} | {name} | {:.2} | {turn:.2} | {shift:.2} | {focal:.2} | {pixels:.2} |", o.psnr());
     }
-    let [right, _, _, refined] = &all;
-    assert!(refined.psnr() > right.psnr() - 0.3, "within 0.3 dB of what true cameras come to");
     all
 }
 
@@ -227,13 +225,18 @@ const ANTIALIAS: &str = "schedule.antialias = true";
 #[test]
 #[ignore = "minutes: cargo test -p gs-train --test train cameras:: -- --ignored --nocapture"]
 fn the_table_of_disturbed_cameras() {
-    for (label, over, focal) in
-        [("poses", "", 0.0), ("poses, antialias", ANTIALIAS, 0.0), ("poses and focal lengths", "", 0.01)]
-    {
+    // What is left of the error in the images, and of the loss of PSNR, at most.
+    let cases = [
+        ("poses", "", 0.0, 0.2, 0.3),
+        ("poses, antialias", ANTIALIAS, 0.0, 0.2, 0.5),
+        ("poses and focal lengths", "", 0.01, 0.33, 0.3),
+    ];
+    for (label, over, focal, share, less) in cases {
         for seed in 0..3 {
             let truth = scene("static", 128, 40, seed);
-            let [.., wrong, refined] = compare(label, "static3d", &truth, &[LONGER, over], focal, seed);
-            assert!(refined.error.pixels < wrong.error.pixels / 3.0, "a third of the error in the images");
+            let [right, _, wrong, refined] = compare(label, "static3d", &truth, &[LONGER, over], focal, seed);
+            assert!(refined.error.pixels < share * wrong.error.pixels);
+            assert!(refined.psnr() > right.psnr() - less);
         }
     }
 }
@@ -255,7 +258,9 @@ fn the_table_of_disturbed_films() {
                 SynthOptions { size: 96, cameras: 8, held_out: 2, moments: 24, seed, ..SynthOptions::default() };
             let options = SynthOptions { boundary: 1.0, variant: 3, ..options };
             let films = Arc::new(gs_synth::generate(name, &options).expect("scene").dataset);
-            compare(label, "fourdgs", &films, &[longer, over], 0.0, seed);
+            let [right, _, wrong, refined] = compare(label, "fourdgs", &films, &[longer, over], 0.0, seed);
+            let [right, wrong, refined] = [right, wrong, refined].map(|o| o.psnr());
+            assert!(refined - wrong > 0.9 * (right - wrong), "nine tenths of what was lost are back");
         }
     }
 }
