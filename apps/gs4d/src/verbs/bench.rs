@@ -75,7 +75,7 @@ impl Bench {
         let memory = if rows.iter().any(|r| r.krate == "gs-raster") { memory() } else { Vec::new() };
         for Memory { splats, side, bytes: [frame, both] } in &memory {
             text.push_str(&format!(
-                "draw@{side}: a splat of {splats} takes {frame:.0} bytes in a frame, {both:.0} with gradients\n"
+                "draw@{side}: each of {splats} splats takes {frame:.0} bytes in a frame, {both:.0} with gradients\n"
             ));
         }
         text.push_str(&format!(
