@@ -183,10 +183,8 @@ fn images_of_a_resting_camera_share_a_correction() {
 #[test]
 fn cameras_rest_unless_they_are_told_to_learn() {
     let data = scene("static", 16, 3, 0);
-    let mut trainer = {
-        let config = gs_train::testkit::config(gs_methods::registry(), "static3d", "tiny", &[]);
-        start(gs_methods::registry(), &data, "static3d", &config, 1)
-    };
+    let config = gs_train::testkit::config(gs_methods::registry(), "static3d", "tiny", &[]);
+    let mut trainer = start(gs_methods::registry(), &data, "static3d", &config, 1);
     run(&mut trainer, 2);
     trainer.model().visit(&mut |p| assert!(!p.name.starts_with("cameras."), "{}", p.name));
     assert!(trainer.model().cameras().is_empty() && trainer.state().meta.get("corrected_cameras").is_none());
