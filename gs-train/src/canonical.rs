@@ -138,9 +138,11 @@ impl Canonical {
         MovedCloud { cloud, sh_degree, field, moves, keeps_sizes, time, counts, edits }
     }
 
-    /// Whether a block takes part in the step begun: what moves the cloud does not while it stands still.
+    /// Whether a block takes part in the step begun: what moves the cloud does not while it stands still, and what changes sizes does
+    /// not while they are kept ([`StepCtx::keep_sizes`]): Adam would count steps without a gradient.
     pub fn takes_part(&self, parameter: &str) -> bool {
-        self.at.dynamic || parameter.starts_with("cloud.")
+        let learns = self.at.dynamic || parameter.starts_with("cloud.");
+        learns && !(self.at.deform_only && parameter.starts_with("field.scales."))
     }
 
     /// The bounds of densification.

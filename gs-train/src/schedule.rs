@@ -14,8 +14,8 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 mod rates;
-pub use rates::LearningRate;
 pub(crate) use rates::complete_rates;
+pub use rates::{Decay, LearningRate};
 
 /// The plan of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -106,8 +106,8 @@ pub struct Stage {
     /// Only views of the first timestamp are learnt from (TRACE's warm-up), where several cameras saw it.
     #[serde(default)]
     pub first_moment: bool,
-    /// Views are let in by time: at first a part of the span, then one part more at equal intervals (TRACE: 8 parts). 0: all
-    /// views from the start.
+    /// Views are let in by time: at first a part of the span, then one part more at equal intervals (TRACE: 8 parts); at most as many
+    /// parts as there are moments. 0: all views from the start.
     #[serde(default)]
     pub window_parts: u32,
     /// Share of the stage's steps after which all parts are let in, at most [`LATEST_WINDOW`] (TRACE: 7000 of 37000 steps).
@@ -127,6 +127,12 @@ pub struct Stage {
 pub const LATEST_WINDOW: f64 = 0.7;
 
 impl Stage {
+    /// The stage for training views of so many moments.
+    #[must_use]
+    pub fn in_moments(&self, moments: u32) -> Self {
+        Self { window_parts: self.window_parts.min(moments), ..self.clone() }
+    }
+
     /// How much of the span of times is let in at a step of the stage, counted from 0, and the step at which the next part
     /// is; `None` once all is and views are drawn alike.
     pub fn window(&self, offset: u32) -> Option<(f64, u32)> {
@@ -405,7 +411,7 @@ impl Schedule {
             for (part, v) in [("start", rate.start), ("end", rate.end)] {
                 need(v >= 0.0 && v.is_finite(), &format!("lr.{name}.{part}"), v.into(), "finite, not negative")?;
             }
-            let decays = rate.steps > 0 && rate.start > 0.0;
+            let decays = rate.steps > 0 && rate.start > 0.0 && rate.decay == Decay::Log;
             need(rate.end > 0.0 || !decays, &format!("lr.{name}.end"), 0.0, "above 0 (the decay is log-linear)")?;
             need((0.0..1.0).contains(&rate.eps), &format!("lr.{name}.eps"), rate.eps.into(), "0 or more, below 1")?;
             need(share(rate.weight_decay), &format!("lr.{name}.weight_decay"), rate.weight_decay.into(), "0 to 1")?;

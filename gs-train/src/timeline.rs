@@ -1,7 +1,7 @@
 //! What happens at which step of a run, in words.
 
 use crate::densify::DensifyRules;
-use crate::schedule::{Background, LearningRate, Stage, ordered};
+use crate::schedule::{Background, Decay, LearningRate, Stage, ordered};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fmt;
@@ -79,11 +79,12 @@ impl Timeline {
 
     fn rates(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (group, rates) in &self.lr {
-            for (name, LearningRate { start, end, steps, from, ramp, .. }) in rates {
+            for (name, LearningRate { start, end, steps, decay, from, ramp, .. }) in rates {
                 let since = if *from > 0 { format!(" from step {from}") } else { String::new() };
-                let decay = match *steps > 0 && start != end {
-                    true => format!(" to {end:e} in {steps} steps"),
-                    false => String::new(),
+                let decay = match decay {
+                    _ if *steps == 0 || start == end => String::new(),
+                    Decay::Log => format!(" to {end:e} in {steps} steps"),
+                    Decay::Step => format!(", {end:e} after {steps} steps"),
                 };
                 let ramp = if *ramp > 0 { format!(", rising over the first {ramp} updates") } else { String::new() };
                 writeln!(f, "learning rate {group}.{name}{since}: {start:e}{decay}{ramp}")?;

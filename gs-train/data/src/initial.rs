@@ -1,7 +1,8 @@
 //! Initial points: those of the data, else in the visual hull, else random in the scene box.
 //!
 //! The hull ([`super::hull`]) is carved by the alpha of the images or, where they have none, by masks ([`View::mask`](super::View::mask)).
-//! Masks usually select what moves, so half of the points are sampled in that hull and the others in the whole box.
+//! Masks usually select what moves, so half of the points are sampled in that hull and the others in the whole box, unless
+//! `data.cut_out` leaves nothing there.
 //!
 //! The points are a function of data set, count and seed.
 
@@ -22,7 +23,7 @@ impl Dataset {
         if let Some(points) = self.points.as_ref().filter(|p| !p.positions.is_empty()) {
             return Ok(subset(points, n, seed));
         }
-        let whole = self.has_alpha;
+        let whole = self.has_alpha || self.train.iter().all(|v| v.cut_out);
         let Some(mut cloud) = self.hull_points(if whole { n } else { n / 2 }, seed)? else {
             return Ok(uniform(self.scene_bounds(), n, seed));
         };

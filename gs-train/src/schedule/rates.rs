@@ -1,10 +1,23 @@
-//! A learning rate runs log-linearly from `start` to `end` over `steps` (3D Gaussian Splatting, Kerbl et al. 2023):
+//! A learning rate runs log-linearly from `start` to `end` over `steps` (3D Gaussian Splatting, Kerbl et al. 2023), or drops
+//! from the one to the other:
 //! ```text
-//! lr(s) = exp((1 − τ) ln start + τ ln end)        τ = clamp(s / steps, 0, 1)
+//! lr(s) = exp((1 − τ) ln start + τ ln end)        τ = clamp(s / steps, 0, 1)        decay = "log"
+//! lr(s) = start if s < steps, else end                                            decay = "step"
 //! ```
 
 use serde::{Deserialize, Serialize};
 use toml::Value;
+
+/// How a learning rate goes from its start to its end.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Decay {
+    /// Log-linearly.
+    #[default]
+    Log,
+    /// At once, after all its steps.
+    Step,
+}
 
 /// The learning rate of a group of parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -16,6 +29,9 @@ pub struct LearningRate {
     pub end: f32,
     /// Length of the decay; 0: constant at `start`.
     pub steps: u32,
+    /// How it decays.
+    #[serde(default)]
+    pub decay: Decay,
     /// Multiplied by the extent of the scene (the parameter is a length).
     pub per_extent: bool,
     /// Adam's ε of these parameters; 0: [`adam_eps`](super::Schedule::adam_eps).
@@ -43,6 +59,7 @@ impl LearningRate {
             start: rate,
             end: rate,
             steps: 0,
+            decay: Decay::Log,
             per_extent: false,
             eps: 0.0,
             sparse: false,
@@ -68,11 +85,14 @@ impl LearningRate {
         if step < self.from {
             return 0.0;
         }
-        let rate = if self.steps == 0 || self.start <= 0.0 || self.end <= 0.0 {
-            f64::from(self.start)
-        } else {
-            let tau = (f64::from(step) / f64::from(self.steps)).min(1.0);
-            ((1.0 - tau) * f64::from(self.start).ln() + tau * f64::from(self.end).ln()).exp()
+        let rate = match self.decay {
+            _ if self.steps == 0 => f64::from(self.start),
+            Decay::Step => f64::from(if step < self.steps { self.start } else { self.end }),
+            Decay::Log if self.start <= 0.0 || self.end <= 0.0 => f64::from(self.start),
+            Decay::Log => {
+                let tau = (f64::from(step) / f64::from(self.steps)).min(1.0);
+                ((1.0 - tau) * f64::from(self.start).ln() + tau * f64::from(self.end).ln()).exp()
+            }
         };
         (rate * if self.per_extent { f64::from(extent) } else { 1.0 }) as f32
     }
@@ -102,6 +122,8 @@ mod tests {
         }
         assert!((rate.per_extent().at(50, 3.0) / 3e-3 - 1.0).abs() < 1e-6);
         assert_eq!(LearningRate::constant(0.5).at(9, 1.0), 0.5);
+        let dropped = LearningRate { decay: Decay::Step, ..LearningRate::decay(1e-2, 1e-3, 100) };
+        assert_eq!([0, 99, 100, 1000].map(|step| dropped.at(step, 1.0)), [1e-2, 1e-2, 1e-3, 1e-3]);
         let late = LearningRate { from: 10, ..LearningRate::constant(0.5) };
         assert_eq!([9, 10, 11].map(|step| late.at(step, 2.0)), [0.0, 0.5, 0.5]);
     }

@@ -54,6 +54,8 @@ pub(crate) struct ViewOrder {
     times: Vec<f32>,
     /// The same, ascending.
     sorted: Vec<f32>,
+    /// How many of them differ.
+    moments: u32,
     /// Number and begin of the pool the last view came from: where the search for the next one starts.
     last: Cell<(u32, u32)>,
     /// The orders last drawn from, the latest first.
@@ -65,7 +67,8 @@ impl ViewOrder {
     pub(crate) fn new(seed: u64, times: Vec<f32>) -> Self {
         let mut sorted = times.clone();
         sorted.sort_by(f32::total_cmp);
-        Self { seed, times, sorted, last: Cell::default(), orders: RefCell::default() }
+        let moments = cast::to_u32(sorted.chunk_by(|a, b| b - a <= SLACK).count());
+        Self { seed, times, sorted, moments, last: Cell::default(), orders: RefCell::default() }
     }
 
     /// Index of the view drawn as number `draw` (from 1) of a run.
@@ -113,6 +116,7 @@ impl ViewOrder {
         if offset >= stage.steps {
             return up_to(last, u32::MAX); // beyond the last step: images are read ahead
         }
+        let stage = stage.in_moments(self.moments);
         let begin = step - 1 - offset;
         let end = (begin + stage.steps).saturating_mul(schedule.batch);
         if stage.first_moment && self.views_until(first) > 1 {
@@ -223,6 +227,19 @@ mod tests {
         }
         let late = |part| moments[120..].iter().filter(|m| **m == part).count();
         assert!((0..6).all(|part| (8..=20).contains(&late(part))), "{:?}", &moments[120..]);
+    }
+
+    /// Of a hundred parts of six moments most would let in nothing, and the last moment would be the newest for a hundredth.
+    #[test]
+    fn more_parts_than_moments_give_each_moment_as_many_steps() {
+        let order = order();
+        let drawn = |window_parts| {
+            let stage = Stage { steps: 200, window_parts, window_until: 0.5, window_newest: 0.5, ..Stage::default() };
+            let schedule = schedule(|s| s.stages = BTreeMap::from([("follow".to_owned(), stage.clone())]));
+            (1..=200).map(|draw| order.view(&schedule, draw)).collect::<Vec<_>>()
+        };
+        assert_eq!(drawn(100), drawn(6));
+        assert_ne!(drawn(5), drawn(6));
     }
 
     #[test]

@@ -78,12 +78,12 @@ fn masked(mut data: Dataset) -> Dataset {
     data
 }
 
-/// Half of the points lie in the hull of these.
+/// Half of the points lie in the hull of these, and all of them where the images show nothing else.
 #[test]
 fn masks_carve_where_there_is_no_alpha() {
     let data = generate("balls", &options()).unwrap().dataset;
-    let hull = data.initial_points(1000, 2).unwrap();
-    let data = masked(data);
+    let [hull, by_alpha] = [1000, 2000].map(|n| data.initial_points(n, 2).unwrap());
+    let mut data = masked(data);
     let cloud = data.initial_points(2000, 2).unwrap();
     assert_eq!(cloud.positions.len(), 2000);
     let near = |p: &Vec3| hull.positions.iter().any(|q| (*p - *q).length() < 0.1);
@@ -91,6 +91,10 @@ fn masks_carve_where_there_is_no_alpha() {
     let (first, rest) = (inside(&cloud.positions[..1000]), inside(&cloud.positions[1000..]));
     assert!(first > 900 && rest < 700, "{first} and {rest} of 1000 near the hull");
     assert!(data.has_start() && cloud.colors[1500] == [0.5; 3]);
+    data.train.iter_mut().for_each(|v| v.cut_out = true);
+    let cloud = data.initial_points(2000, 2).unwrap();
+    assert_eq!(cloud.positions, by_alpha.positions);
+    assert!(cloud.colors.iter().all(|c| *c != [0.5; 3]));
 }
 
 #[test]
