@@ -143,6 +143,10 @@ pub struct SurfaceConfig {
     /// faces; squared metres. Runs from before it have none.
     #[serde(default)]
     pub color: f32,
+    /// Share of GeoNet's steps in which the first texture is what one camera alone sees, drawn anew each time: cameras that see
+    /// little of a body must do as well.
+    #[serde(default)]
+    pub one_view: f32,
     /// Steps of GeoNet after which the mean colours are made anew, of second textures; 0: they stay those of first ones.
     pub refresh: u32,
     /// What vertices on seams read of the map of offsets.
@@ -186,6 +190,13 @@ pub struct GauConfig {
     pub offset_unit: f32,
     /// Longest gradient of all its weights in a step; 0: any.
     pub clip: f32,
+    /// Share of the frames, the first ones, that the warm-up learns from.
+    #[serde(default = "all_frames")]
+    pub warm_up_frames: f32,
+}
+
+fn all_frames() -> f32 {
+    1.0
 }
 
 /// Settings of `dut`, the sections of its TOML file.
@@ -299,6 +310,7 @@ pub(crate) const DOMAINS: &[Domain] = &[
     within("gaunet.net.levels", 1.0, 8.0),
     within("gaunet.net.width", 8.0, 512.0),
     within("gaunet.offset_unit", 1e-6, 100.0),
+    within("gaunet.warm_up_frames", 0.0, 1.0),
     within("gaussians.decode.scale_range", 1e-9, 1e3),
     within("gaussians.decode.sh_active", 0.0, 3.0),
     within("gaussians.reg", 0.0, 1e4),
@@ -316,6 +328,7 @@ pub(crate) const DOMAINS: &[Domain] = &[
     within("surface.isometry", 0.0, 1e6),
     within("surface.laplacian", 0.0, 1e6),
     within("surface.normals", 0.0, 1e6),
+    within("surface.one_view", 0.0, 1.0),
     within("surface.refresh", 0.0, STEPS),
     within("surface.slide", 0.0, 1e6),
     within("surface.texture", 0.0, 1e6),

@@ -270,16 +270,45 @@ impl Dut {
         MethodError::Render(format!("frame {} of the filmed person: {error}", frame.number))
     }
 
-    fn learn(&mut self, frame: &AvatarFrame, render: &mut dyn RenderView) -> Result<(), StepError> {
+    /// The frame before GeoNet; in a share of the steps as one camera alone sees it, if the settings ask for that.
+    fn occluded(&self, frame: &AvatarFrame) -> Result<Arc<First>, FrameError> {
+        let first = self.first(frame)?;
+        let mut rng = Rng::new(self.seed, "dut.one_view", self.at.step, frame.number.into());
+        if rng.uniform() >= self.config.surface.one_view {
+            return Ok(first);
+        }
+        let images = self.actor.images(frame)?;
+        let one = rng.below(cast::to_u32(images.len().max(1))) as usize;
+        Ok(Arc::new(self.actor.first_of(first.posed.clone(), images.get(one..=one).unwrap_or(&images))?))
+    }
+
+    /// The frame that a step learns from: in the warm-up one of the first ones, if the settings ask for that.
+    fn warm_up_frame<'a>(&self, frames: &'a [AvatarFrame], frame: &'a AvatarFrame) -> &'a AvatarFrame {
+        if self.phase() != Phase::WarmUp {
+            return frame;
+        }
+        let learnt: Vec<&AvatarFrame> = frames.iter().filter(|f| f.learnt).collect();
+        let at = learnt.iter().position(|f| f.number == frame.number).unwrap_or(0);
+        let first = cast::to_usize(at as f64 * f64::from(self.config.gaunet.warm_up_frames));
+        learnt.get(first).copied().unwrap_or(frame)
+    }
+
+    fn learn(
+        &mut self,
+        frames: &[AvatarFrame],
+        frame: &AvatarFrame,
+        render: &mut dyn RenderView,
+    ) -> Result<(), StepError> {
         let share = 1.0 / self.at.batch as f32;
         let phase = self.phase();
         if phase == Phase::Geometry {
-            let first = self.first(frame)?;
+            let first = self.occluded(frame)?;
             let Some(geometry) = &mut self.geometry else { return Ok(()) };
             let terms = geometry.learn(&self.actor, frame, &first, share)?;
             terms.into_iter().for_each(|(name, value)| self.add_penalty(name, value));
             return Ok(());
         }
+        let frame = self.warm_up_frame(frames, frame);
         let second = self.jittered(self.second(frame)?, frame.number);
         let (mut rows, mut d_rows) = (std::mem::take(&mut self.rows), std::mem::take(&mut self.d_rows));
         self.rows(&second, &mut rows)?;
@@ -466,7 +495,7 @@ impl Method for Dut {
     fn step(&mut self, view: &ViewCtx<'_>, render: &mut dyn RenderView) -> Result<Vec<LossValue>, MethodError> {
         let scene = self.actor.scene.clone();
         let frame = scene.frame_at(view.at.t);
-        self.learn(frame, render).map_err(|e| match e {
+        self.learn(&scene.frames, frame, render).map_err(|e| match e {
             StepError::Frame(e) => Self::at_frame(frame, &e),
             StepError::Render(e) => e,
         })?;

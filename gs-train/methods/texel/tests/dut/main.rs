@@ -7,6 +7,7 @@
 //! | in-mask PSNR of GauNet over-fitting four views of a frame; after its warm-up alone | 30 dB; 20 dB |
 //! | GeoNet's offsets of a known morph, RMS error over RMS length | 10 % |
 
+mod draws;
 mod morphs;
 mod needs_avatar;
 
