@@ -5,7 +5,7 @@
 //! im2col without the cost of im2col. Errors are against `f64`, relative to
 //! the largest value. The last rows leave out pixels of a map that is 50, 60 and 70 % full.
 
-use gs_core::nn::gemm::{Mat, MatMut, Write, gemm};
+use gs_core::nn::gemm::{Mat, MatMut, Write, gemm, roof};
 use gs_core::nn::map_reference::{RefMap, conv};
 use gs_core::nn::{Conv, ConvSpec, Init, Map, Sites};
 use gs_core::speed::{BenchRow, median_seconds};
@@ -73,17 +73,6 @@ fn measured(
     };
     row.append(env!("CARGO_MANIFEST_DIR"));
     work / ms / 1e6
-}
-
-fn peak_rate() -> f64 {
-    let (side, threads) = (1024, rayon::current_num_threads());
-    let (a, b) = (random(side * side, "a"), random(side * side, "b"));
-    let mut out = vec![vec![0.0; side * side]; threads];
-    measured("conv", "roof 1024^3", side, 2.0 * (side.pow(3) * threads) as f64, None, || {
-        out.par_iter_mut().for_each(|out| {
-            gemm(MatMut::new(out, side, side), Mat::new(&a, side, side), Mat::new(&b, side, side), Write::Set);
-        });
-    })
 }
 
 /// The matrix product of the convolution's shape after im2col.
@@ -170,7 +159,8 @@ fn sparse() {
 }
 
 fn main() {
-    let peak = peak_rate();
-    CASES.iter().for_each(|case| run(case, peak));
+    let peak = roof();
+    peak.append(env!("CARGO_MANIFEST_DIR"));
+    CASES.iter().for_each(|case| run(case, peak.rate()));
     sparse();
 }

@@ -45,6 +45,11 @@ pub struct BenchRow {
 }
 
 impl BenchRow {
+    /// Operations per nanosecond: GFLOP/s where `work` counts floating-point operations.
+    pub fn rate(&self) -> f64 {
+        self.work / self.ms * 1e-6
+    }
+
     /// The row as one line of JSON, without a line break; numbers that are not finite become `null`.
     pub fn to_json(&self) -> String {
         let number = |v: f64| if v.is_finite() { format!("{v:e}") } else { "null".to_owned() };
@@ -81,9 +86,8 @@ impl BenchRow {
 
 impl std::fmt::Display for BenchRow {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let rate = self.work / self.ms * 1e-6;
         write!(f, "{:<10} {:<26} {:<22}", self.krate, self.case, self.variant)?;
-        write!(f, " n {:>8}  threads {}  {:>9.3} ms  {rate:>7.3} G/s", self.n, self.threads, self.ms)?;
+        write!(f, " n {:>8}  threads {}  {:>9.3} ms  {:>7.3} G/s", self.n, self.threads, self.ms, self.rate())?;
         match self.error {
             Some(error) => write!(f, "  {error:.1e} {}", self.error_kind),
             None => write!(f, "  no reference"),
@@ -160,6 +164,7 @@ mod tests {
         };
         let want = "{\"crate\":\"gs-core\",\"case\":\"sum\",\"variant\":\"pair\\\"wise\",\"n\":3,\"threads\":1,\"ms\":5e-1,\"work\":3e0,\"error\":1e-7,\"error_kind\":\"relative\"}";
         assert_eq!(row.to_json(), want);
+        assert!((row.rate() - 6e-6).abs() < 1e-15, "3 values in half a millisecond: {}", row.rate());
         row.error = None;
         row.ms = f64::NAN;
         assert!(row.to_json().contains("\"ms\":null") && row.to_json().contains("\"error\":null"));

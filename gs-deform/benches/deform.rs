@@ -6,7 +6,7 @@
 
 use criterion::Criterion;
 use glam::Vec3;
-use gs_core::nn::gemm::{Mat, MatMut, Write, gemm};
+use gs_core::nn::gemm;
 use gs_core::nn::{BLOCK, CHUNKS, Init, Mlp, MlpGrad, MlpTape, blocks_per_chunk};
 use gs_core::speed::{BenchRow, Stopwatch};
 use gs_core::{Geometry, Rng, Time};
@@ -60,23 +60,6 @@ fn points(n: usize) -> Vec<Vec3> {
 
 fn t() -> Time {
     Time { normalised: 0.37, seconds: 0.37 }
-}
-
-/// GFLOP/s of the machine: one 1024³ product per thread, again and again.
-fn roof(c: &mut Criterion) -> f64 {
-    let (side, threads) = (1024, rayon::current_num_threads());
-    let (a, b) = (random(side * side, "a"), random(side * side, "b"));
-    let mut out = vec![vec![0.0; side * side]; threads];
-    let work = 2.0 * (side * side * side * threads) as f64;
-    let want: f64 = (0..side).map(|k| f64::from(a[k]) * f64::from(b[k * side])).sum();
-    let product = |out: &mut Vec<f32>| {
-        gemm(MatMut::new(out, side, side), Mat::new(&a, side, side), Mat::new(&b, side, side), Write::Set);
-    };
-    product(&mut out[0]);
-    let error = (f64::from(out[0][0]) - want).abs() / (side as f64).sqrt();
-    let row = Row { case: "gemm", variant: "roof 1024^3", n: side, work, error, error_kind: "entry against f64" };
-    let ms = measure(c, &row, || out.par_iter_mut().for_each(product));
-    work / ms / 1e6
 }
 
 /// Largest difference relative to the largest wanted value.
@@ -202,10 +185,10 @@ fn main() {
         .measurement_time(Duration::from_millis(900))
         .without_plots()
         .configure_from_args();
-    let roof = roof(&mut c);
-    println!("    roof {roof:.0} GFLOP/s on {} threads", rayon::current_num_threads());
+    let roof = gemm::roof();
+    roof.append(env!("CARGO_MANIFEST_DIR"));
     hexplane(&mut c);
-    mlp(&mut c, roof);
+    mlp(&mut c, roof.rate());
     for (case, config) in [("fourdgs default", FourDgsConfig::default()), ("fourdgs fast", FourDgsConfig::fast())] {
         if let Ok(f) = HexPlaneField::new("field", &config, Aabb::cube(1.0), 1) {
             field(&mut c, case, 20_000, f);

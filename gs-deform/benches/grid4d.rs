@@ -6,13 +6,12 @@
 //! thread. The dense part is the whole field less its grids, which are measured alone on the same points.
 
 use glam::Vec3;
-use gs_core::nn::gemm::{Mat, MatMut, Write, gemm};
+use gs_core::nn::gemm;
 use gs_core::{Geometry, Params, Rng, Time};
 use gs_deform::encode::{Columns, HashGrid, HashGridConfig, Slice};
 use gs_deform::field::grid4d::ExactConfig;
 use gs_deform::reference::Grid4dRef;
 use gs_deform::{DeformError, Field, Grid4dConfig, Grid4dField};
-use rayon::prelude::*;
 use rows::Rows;
 
 mod rows;
@@ -56,28 +55,6 @@ fn field(config: &Grid4dConfig) -> Result<Grid4dField, DeformError> {
         }
     });
     Ok(field)
-}
-
-/// Floating-point operations per second, in thousands of millions.
-fn roof() -> f64 {
-    let (side, threads) = (1024, rayon::current_num_threads());
-    let random = |name| -> Vec<f32> {
-        let mut rng = Rng::new(1, name, 0, 0);
-        (0..side * side).map(|_| rng.normal()).collect()
-    };
-    let (a, b) = (random("a"), random("b"));
-    let mut out = vec![vec![0.0; side * side]; threads];
-    let product = |out: &mut Vec<f32>| {
-        gemm(MatMut::new(out, side, side), Mat::new(&a, side, side), Mat::new(&b, side, side), Write::Set);
-    };
-    product(&mut out[0]);
-    let want: f64 = (0..side).map(|k| f64::from(a[k]) * f64::from(b[k * side])).sum();
-    let error = (f64::from(out[0][0]) - want).abs() / (side as f64).sqrt();
-    let work = 2.0 * (side * side * side * threads) as f64;
-    let ms = ROWS.measured("gemm", "roof 1024^3", work, Some((error, "entry against f64")), || {
-        out.par_iter_mut().for_each(product)
-    });
-    work / ms / 1e6
 }
 
 /// Milliseconds of the four grids alone, forward and both ways, as the field runs them.
@@ -226,8 +203,9 @@ fn many_times(s: &Geometry) -> Result<(), DeformError> {
 
 fn main() -> Result<(), DeformError> {
     let s = splats();
-    let roof = roof();
-    training(&s, roof)?;
+    let roof = gemm::roof();
+    roof.append(env!("CARGO_MANIFEST_DIR"));
+    training(&s, roof.rate())?;
     savings(&s)?;
     many_times(&s)
 }

@@ -6,12 +6,11 @@
 //! thread. The dense part is the whole net less its planes, which are measured alone on the same points.
 
 use glam::Vec3;
-use gs_core::nn::gemm::{Mat, MatMut, Write, gemm};
+use gs_core::nn::gemm;
 use gs_core::{Params, Rng, Time};
 use gs_deform::encode::{HexPlane, HexPlaneConfig, HexTape};
 use gs_deform::reference::PlaneNetRef;
 use gs_deform::{Aabb, DeformError, PlaneNet, PlaneNetConfig, PlaneNetTape};
-use rayon::prelude::*;
 use rows::Rows;
 
 mod rows;
@@ -58,24 +57,6 @@ fn points() -> Vec<Vec3> {
 
 fn t() -> Time {
     Time { normalised: 0.37, seconds: 0.37 }
-}
-
-/// Floating-point operations per second, in thousands of millions.
-fn roof() -> f64 {
-    let (side, threads) = (1024, rayon::current_num_threads());
-    let (a, b) = (random(side * side, "a"), random(side * side, "b"));
-    let mut out = vec![vec![0.0; side * side]; threads];
-    let product = |out: &mut Vec<f32>| {
-        gemm(MatMut::new(out, side, side), Mat::new(&a, side, side), Mat::new(&b, side, side), Write::Set);
-    };
-    product(&mut out[0]);
-    let want: f64 = (0..side).map(|k| f64::from(a[k]) * f64::from(b[k * side])).sum();
-    let error = (f64::from(out[0][0]) - want).abs() / (side as f64).sqrt();
-    let work = 2.0 * (side * side * side * threads) as f64;
-    let ms = ROWS.measured("gemm", "roof 1024^3", work, Some((error, "entry against f64")), || {
-        out.par_iter_mut().for_each(product)
-    });
-    work / ms / 1e6
 }
 
 /// A net as after some training: features and outputs of order one.
@@ -206,9 +187,10 @@ fn places() -> Result<(), DeformError> {
 }
 
 fn main() -> Result<(), DeformError> {
-    let roof = roof();
+    let roof = gemm::roof();
+    roof.append(env!("CARGO_MANIFEST_DIR"));
     for case in &CASES {
-        training(case, roof)?;
+        training(case, roof.rate())?;
     }
     places()
 }

@@ -14,8 +14,6 @@ use gs_texel::net::{NetError, NormOver, reference};
 
 /// Multiply-adds per texel of a GeoNet of width 32.
 const GEONET: f64 = 5.88e9 / 65536.0;
-/// Multiply-adds per texel of a GauNet of width 64 and 4 levels; of width 16 and 3 levels.
-const GAUNET: [f64; 2] = [48.4e9 / 65536.0, 0.77e9 / 16384.0];
 
 fn random(n: usize, name: &str) -> Vec<f32> {
     let mut rng = Rng::new(1, name, 0, 0);
@@ -89,7 +87,7 @@ fn geonet(size: usize) -> Result<(), NetError> {
     failed
 }
 
-fn gaunet(name: &str, config: GauNetConfig, size: usize, per_texel: f64) -> Result<(), NetError> {
+fn gaunet(name: &str, config: GauNetConfig, size: usize) -> Result<(), NetError> {
     let mut net = stirred(GauNet::new("gaunet", config, 1)?);
     let (params, input, masks) = wide(&net, 16, config.levels);
     let mut small = net.tape(16, None)?;
@@ -98,7 +96,7 @@ fn gaunet(name: &str, config: GauNetConfig, size: usize, per_texel: f64) -> Resu
     let outputs = config.outputs();
     let (map, d, mut tape) =
         (random(size * size * 6, "map"), random(size * size * outputs, "d"), net.tape(size, None)?);
-    let work = 2.0 * per_texel * (size * size) as f64;
+    let work = 2.0 * config.multiply_adds() * (size * size) as f64;
     let name = format!("GauNet {name} {size}^2");
     let mut failed = Ok(());
     let forward = median_seconds(runs(work), || failed = net.forward(&map, &mut tape).map(|_| ()));
@@ -114,7 +112,7 @@ fn gaunet(name: &str, config: GauNetConfig, size: usize, per_texel: f64) -> Resu
 /// The tiny GauNet over a mask, every texel computed or only valid ones.
 fn sparse(size: usize) -> Result<(), NetError> {
     let config = GauNetConfig { norm_over: NormOver::Mask, ..GauNetConfig::tiny() };
-    let work = 2.0 * GAUNET[1] * (size * size) as f64;
+    let work = 2.0 * config.multiply_adds() * (size * size) as f64;
     for percent in [50, 60, 70] {
         let (mask, map, d) = (disc(size, percent), random(size * size * 6, "map"), random(size * size * 14, "d"));
         let (mut want, mut first) = (Vec::new(), None);
@@ -145,12 +143,12 @@ fn main() -> Result<(), NetError> {
     let paper = std::env::args().any(|a| a == "paper");
     geonet(64)?;
     geonet(128)?;
-    gaunet("tiny", GauNetConfig::tiny(), 128, GAUNET[1])?;
-    gaunet("small", GauNetConfig::small(), 256, GAUNET[0] / 4.0)?;
+    gaunet("tiny", GauNetConfig::tiny(), 128)?;
+    gaunet("small", GauNetConfig::small(), 256)?;
     sparse(128)?;
     if paper {
         geonet(256)?;
-        gaunet("paper", GauNetConfig::default(), 256, GAUNET[0])?;
+        gaunet("paper", GauNetConfig::default(), 256)?;
     }
     Ok(())
 }

@@ -104,16 +104,41 @@ impl GauNetConfig {
         let down = (0..=levels).map(|l| double(self.below(l), self.channels(l)));
         let up = (0..levels).map(|l| {
             let (inputs, outputs) = (self.channels(l + 1), self.channels(l));
-            let grow = ConvSpec { kernel: 2, stride: 2, inputs, outputs, bias: true };
-            grow.count().saturating_add(double(inputs, outputs))
+            grow(inputs, outputs).count().saturating_add(double(inputs, outputs))
         });
         down.chain(up).fold(self.last().count(), u64::saturating_add)
+    }
+
+    /// Multiply-adds of the convolutions of a forward pass, per texel of its map.
+    ///
+    /// ```
+    /// let paper = gs_texel::GauNetConfig::default().multiply_adds() * 256.0 * 256.0;
+    /// assert!((paper / 48.4e9 - 1.0).abs() < 1e-3, "{paper}");
+    /// ```
+    pub fn multiply_adds(&self) -> f64 {
+        let levels = self.levels as usize;
+        // A texel of a level stands for 4^level of the map.
+        let weights = |level: usize, spec| ConvSpec { bias: false, ..spec }.count() as f64 * 0.25f64.powf(level as f64);
+        let double =
+            |level, inputs, outputs| double(inputs, outputs).map(|spec| weights(level, spec)).iter().sum::<f64>();
+        let down = (0..=levels).map(|l| double(l, self.below(l), self.channels(l)));
+        let up = (0..levels).map(|l| {
+            let (inputs, outputs) = (self.channels(l + 1), self.channels(l));
+            // Each texel of the coarser level meets the whole kernel.
+            weights(l + 1, grow(inputs, outputs)) + double(l, inputs, outputs)
+        });
+        down.chain(up).sum::<f64>() + weights(0, self.last())
     }
 }
 
 /// The two convolutions of a level.
 fn double(inputs: usize, outputs: usize) -> [ConvSpec; 2] {
     [inputs, outputs].map(|inputs| ConvSpec { kernel: 3, stride: 1, inputs, outputs, bias: false })
+}
+
+/// The transposed convolution to a finer level, as [`ConvTranspose`].
+fn grow(inputs: usize, outputs: usize) -> ConvSpec {
+    ConvSpec { kernel: 2, stride: 2, inputs, outputs, bias: true }
 }
 
 type Double = [Unit; 2];

@@ -15,11 +15,11 @@ pub struct Section {
     pub charts: Vec<Chart>,
     /// Heat maps.
     pub matrices: Vec<Matrix>,
-    /// Statistics; `gs4d inspect` prints them, too.
+    /// Statistics; `gs4d inspect` prints them, too, and `gs4d eval` those that need no events.
     pub rows: Vec<ReportRow>,
     /// Long tables, shown collapsed.
     pub tables: Vec<Table>,
-    /// The same facts for programs: `gs4d inspect --json`.
+    /// The same facts for programs: `gs4d inspect --json`, and `metrics.json` of `gs4d eval`.
     pub json: Value,
 }
 

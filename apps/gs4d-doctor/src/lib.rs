@@ -51,6 +51,7 @@ mod views;
 
 pub use cost::{Cost, CostOptions, StageCost};
 pub use page::{is_page, page};
+pub use template::{CameraOutlines, JointOutlines, Outlines};
 
 use gs_core::Image;
 use gs_data::{
@@ -179,6 +180,8 @@ pub struct Checkup {
     pub findings: Vec<Finding>,
     /// Assumptions of the reader, in words.
     pub notes: Vec<String>,
+    /// How far a filmed person's template is from its silhouettes; `None` of other data, and without silhouettes.
+    pub outlines: Option<Outlines>,
     /// Cost of training, where it was asked for and the run could start.
     pub cost: Option<Cost>,
     /// Images for the HTML report.
@@ -244,9 +247,10 @@ pub fn examine_and_tell(dir: &Path, exam: &CheckOptions, tell: &mut dyn FnMut(&F
     if sound {
         checkup.add(start::check(&readable), tell);
     }
-    let (findings, of_template) = template::check(&readable, &small_images);
-    checkup.add(findings, tell);
-    figures.extend(of_template);
+    let template = template::check(&readable, &small_images);
+    checkup.add(template.findings, tell);
+    checkup.outlines = template.outlines;
+    figures.extend(template.figures);
     figures.extend(figures::all(&readable, &small_images, silhouettes.as_ref()));
     checkup.figures = figures;
     if let Some(options) = &exam.cost {

@@ -13,6 +13,7 @@ use gs_data::{Dataset, ImageCache, ImageU8, View};
 use gs_texel::surface::NONE;
 use gs_texel::zbuffer::face_map;
 use rayon::prelude::*;
+use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -36,6 +37,59 @@ const ODD_CAMERA: f64 = 2.0;
 const NEAR: f64 = 0.05;
 /// Joints and views named.
 const NAMED: usize = 3;
+
+/// How far the outlines of the posed template are from those of the images, whatever the verdict.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Outlines {
+    /// Means over the compared views of each camera.
+    pub cameras: Vec<CameraOutlines>,
+    /// Means over the parts of the outline that each joint moves, over all compared views; farthest first.
+    pub joints: Vec<JointOutlines>,
+}
+
+/// Outlines in one camera.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CameraOutlines {
+    /// Number of the camera.
+    pub camera: u32,
+    /// Number of views compared.
+    pub views: usize,
+    /// Mean distance, metres.
+    pub metres: f64,
+}
+
+/// Outlines that one joint moves.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct JointOutlines {
+    /// Name of the joint.
+    pub joint: String,
+    /// Mean distance, metres.
+    pub metres: f64,
+}
+
+impl Outlines {
+    /// A text table of both, centimetres.
+    pub fn text(&self) -> String {
+        let mut out = format!("{:<24}{:>6}{:>9}\n", "outlines in camera", "views", "cm apart");
+        for CameraOutlines { camera, views, metres } in &self.cameras {
+            out.push_str(&format!("{camera:<24}{views:>6}{:>9.2}\n", 100.0 * metres));
+        }
+        out.push_str(&format!("{:<24}{:>15}\n", "outlines moved by joint", "cm apart"));
+        for JointOutlines { joint, metres } in &self.joints {
+            out.push_str(&format!("{joint:<24}{:>15.2}\n", 100.0 * metres));
+        }
+        out
+    }
+}
+
+/// What the check found.
+#[derive(Default)]
+pub(super) struct Checked {
+    pub(super) findings: Vec<Finding>,
+    pub(super) figures: Vec<Figure>,
+    /// None of data without a person, or without silhouettes.
+    pub(super) outlines: Option<Outlines>,
+}
 
 /// What a view shows of the person.
 struct Shown {
@@ -63,19 +117,20 @@ struct Apart {
     joints: Vec<(u32, f64)>,
 }
 
-/// Compares template and images; none of data without a person, or without silhouettes.
-pub(super) fn check(data: &Dataset, small_images: &ImageCache) -> (Vec<Finding>, Vec<Figure>) {
-    let Some(scene) = data.avatar.as_deref() else { return Default::default() };
+/// Compares template and images; nothing of data without a person.
+pub(super) fn check(data: &Dataset, small_images: &ImageCache) -> Checked {
+    let Some(scene) = data.avatar.as_deref() else { return Checked::default() };
     let rows = compared(scene);
     let shown = silhouettes(data, scene, &rows, small_images);
     if shown.is_empty() {
         let what =
             "no image has alpha or a mask with an outline, so the template cannot be held against its silhouette";
         let fix = "add masks of the person, or images with alpha";
-        return (vec![Finding::new("template", "template.masks", Verdict::Warning, what).fix(fix)], Vec::new());
+        let finding = Finding::new("template", "template.masks", Verdict::Warning, what).fix(fix);
+        return Checked { findings: vec![finding], ..Checked::default() };
     }
     let check = Check::new(scene, &rows, shown);
-    (check.findings(), check.figures())
+    Checked { findings: check.findings(), figures: check.figures(), outlines: Some(check.outlines()) }
 }
 
 /// Rows of the frames that are compared.
@@ -325,15 +380,32 @@ impl<'a> Check<'a> {
         joints
     }
 
+    /// The name of a joint, for people.
+    fn name(&self, joint: u32) -> String {
+        let skeleton = &self.scene.character.skeleton;
+        let node = skeleton.joints.get(joint as usize).and_then(|j| skeleton.nodes.get(j.node as usize));
+        node.map(|n| n.name.clone()).filter(|n| !n.is_empty()).unwrap_or_else(|| format!("joint {joint}"))
+    }
+
     /// The first few joints with their distances, for people.
     fn named(&self, joints: &[(u32, f64)]) -> Vec<String> {
-        let skeleton = &self.scene.character.skeleton;
-        let node = |joint: u32| skeleton.joints.get(joint as usize).and_then(|j| skeleton.nodes.get(j.node as usize));
-        let text = |&(joint, far): &(u32, f64)| {
-            let name = node(joint).map(|n| n.name.clone()).filter(|n| !n.is_empty());
-            format!("{}: {:.1} cm", name.unwrap_or_else(|| format!("joint {joint}")), 100.0 * far)
-        };
+        let text = |&(joint, far): &(u32, f64)| format!("{}: {:.1} cm", self.name(joint), 100.0 * far);
         joints.iter().take(NAMED).map(text).collect()
+    }
+
+    /// The distances in every camera and of every joint.
+    fn outlines(&self) -> Outlines {
+        let of_camera = |camera: u32| CameraOutlines {
+            camera,
+            views: self.shown.iter().filter(|s| s.camera_id == camera).count(),
+            metres: self.mean(Some(camera), |k| self.apart[k].mean),
+        };
+        let views: Vec<usize> = (0..self.shown.len()).collect();
+        let joints = self.joints(&views).into_iter();
+        Outlines {
+            cameras: self.cameras().into_iter().map(of_camera).collect(),
+            joints: joints.map(|(joint, metres)| JointOutlines { joint: self.name(joint), metres }).collect(),
+        }
     }
 
     /// The views whose outlines are farthest apart.

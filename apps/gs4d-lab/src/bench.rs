@@ -1,10 +1,12 @@
 //! A short set of measurements across the crates, each with its error: what `gs4d bench` prints.
 //!
-//! Every row has a median time and an error against the f64 reference or a closed form. The crates' own criterion benches
-//! are more thorough; these run in seconds and need nothing but the program.
+//! Every row has a median time and an error against the f64 reference or a closed form; some have PyTorch's time for the same
+//! operation ([`PYTORCH`]). The crates' own benches are more thorough; these run in seconds and need nothing but the program.
 
+mod dense;
 mod field;
 mod image;
+mod networks;
 mod optimiser;
 mod physics;
 mod raster;
@@ -14,31 +16,98 @@ mod variants;
 pub use raster::{Memory, memory};
 pub use stages::{STAGES, Stage, StageOptions, StageTimes, stage_times};
 
+use gs_core::Params;
+use gs_core::nn::gemm::roof;
 use gs_core::speed::{BenchRow, median_seconds};
 use gs_raster::SimdLevel;
 use gs_raster::measure::Roofline;
+use gs_train::adam::{Adam, Refused};
+use serde::Serialize;
+
+/// Where PyTorch's times are from.
+pub const PYTORCH: &str = "PyTorch's times are of November 2026, on two threads of two cores of a Sapphire-Rapids-class Xeon \
+with AVX-512 that ran other jobs, too: version 2.15 (MKL, oneDNN), the U-Net the least of 94 to 203 ms; 10 000 splats by gsplat's \
+torch code, in a scene of the same statistics. They compare with the times above on such a machine only";
+
+/// Kind of error of layers and networks.
+const OUTPUT_ERROR: &str = "relative L2 of outputs, f64";
 
 /// A group of measurements: the crate they concern and the function that makes them.
 pub struct Group {
     /// Name of the crate, for example `gs-raster`.
     pub name: &'static str,
     /// Runs the measurements in the current rayon pool; one row per case and variant.
-    pub measure: fn() -> Vec<BenchRow>,
+    pub measure: fn() -> Vec<Measured>,
+}
+
+/// A row of the bench and what it is held against.
+#[derive(Clone, Debug)]
+pub struct Measured {
+    /// Time and error.
+    pub row: BenchRow,
+    /// Whether the row's `work` counts floating-point operations, two per multiply-add.
+    pub flops: bool,
+    /// Milliseconds of PyTorch for the same operation ([`PYTORCH`]).
+    pub pytorch: Option<f64>,
+}
+
+impl From<BenchRow> for Measured {
+    fn from(row: BenchRow) -> Self {
+        Self { row, flops: false, pytorch: None }
+    }
+}
+
+impl Measured {
+    fn flops(row: BenchRow, pytorch: Option<f64>) -> Self {
+        Self { row, flops: true, pytorch }
+    }
+
+    /// GFLOP/s, where operations are counted.
+    pub fn gflops(&self) -> Option<f64> {
+        self.flops.then(|| self.row.rate())
+    }
+}
+
+/// Rows that nothing is held against.
+fn alone(rows: Vec<BenchRow>) -> Vec<Measured> {
+    rows.into_iter().map(Measured::from).collect()
 }
 
 /// All groups, in the order `gs4d bench` prints them.
 pub const GROUPS: &[Group] = &[
+    Group { name: "gs-core", measure: dense::rows },
     Group { name: "gs-raster", measure: raster::rows },
-    Group { name: "gs-metrics", measure: image::rows },
+    Group { name: "gs-metrics", measure: || alone(image::rows()) },
     Group { name: "gs-deform", measure: field::rows },
-    Group { name: "gs-physics", measure: physics::rows },
-    Group { name: "gs-train", measure: optimiser::rows },
+    Group { name: "gs-texel", measure: networks::rows },
+    Group { name: "gs-physics", measure: || alone(physics::rows()) },
+    Group { name: "gs-train", measure: || alone(optimiser::rows()) },
 ];
 
-/// Measured peak rates of the current rayon pool: `(GFLOP/s of fused multiply-adds, 10⁹ exponentials/s)`.
-pub fn roofline() -> (f64, f64) {
-    let peak = Roofline::measure(SimdLevel::Auto);
-    (peak.fma, peak.exp2)
+/// Peak rates of this machine with the threads of a rayon pool.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Roofs {
+    /// Fused multiply-adds, GFLOP/s.
+    pub fma_gflops: f64,
+    /// Matrix products of 1024³, GFLOP/s.
+    pub gemm_gflops: f64,
+    /// Exponentials, 10⁹/s.
+    pub exp2_giga_per_second: f64,
+    /// Number of threads.
+    pub threads: usize,
+}
+
+impl Roofs {
+    /// Measures them in the current rayon pool; takes less than a second.
+    pub fn measure() -> Self {
+        let Roofline { threads, fma, exp2 } = Roofline::measure(SimdLevel::Auto);
+        Self { fma_gflops: fma, gemm_gflops: roof().rate(), exp2_giga_per_second: exp2, threads }
+    }
+}
+
+/// Updates all parameters with Adam and clears their gradients.
+fn train(net: &mut impl Params, adam: &mut Adam) {
+    net.visit_mut(&mut |p| adam.update(p, optimiser::UPDATE, &mut Refused::default()));
 }
 
 /// Labels of a [`BenchRow`].

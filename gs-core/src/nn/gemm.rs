@@ -11,7 +11,14 @@
 //! assert_eq!(y, [117.0, 139.0]); // [[1, 2], [3, 4]] [5, 6]ᵀ = [17, 39]ᵀ
 //! ```
 
+use crate::Rng;
+use crate::speed::{BenchRow, median_seconds};
 use ::gemm::Parallelism;
+use rayon::prelude::*;
+
+/// Side of the square matrices of [`roof`].
+const ROOF_SIDE: usize = 1024;
+const ROOF_RUNS: usize = 15;
 
 /// A read-only matrix view: element `(r, c)` is `data[r · row_stride + c · col_stride]`.
 #[derive(Clone, Copy, Debug)]
@@ -142,10 +149,43 @@ pub fn gemm(dst: MatMut<'_>, a: Mat<'_>, b: Mat<'_>, write: Write) {
     }
 }
 
+/// Time of a product of 1024³, one serial call per thread of the current rayon pool: the rate that layers are held against. `work`
+/// counts floating-point operations, two per multiply-add; the error is that of an entry, over the root of its terms.
+///
+/// ```
+/// let roof = gs_core::nn::gemm::roof();
+/// assert!(roof.rate() > 0.0 && roof.error.is_some_and(|e| e < 1e-5));
+/// ```
+pub fn roof() -> BenchRow {
+    let (side, threads) = (ROOF_SIDE, rayon::current_num_threads());
+    let random = |name: &str| -> Vec<f32> {
+        let mut rng = Rng::new(1, name, 0, 0);
+        (0..side * side).map(|_| rng.normal()).collect()
+    };
+    let (a, b) = (random("a"), random("b"));
+    let mut out = vec![vec![0.0; side * side]; threads];
+    let product = |out: &mut Vec<f32>| {
+        gemm(MatMut::new(out, side, side), Mat::new(&a, side, side), Mat::new(&b, side, side), Write::Set);
+    };
+    let ms = 1e3 * median_seconds(ROOF_RUNS, || out.par_iter_mut().for_each(product));
+    let want: f64 = a.iter().zip(b.iter().step_by(side)).take(side).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum();
+    let got = out.first().and_then(|out| out.first()).copied().map(f64::from);
+    BenchRow {
+        krate: "gs-core",
+        case: "gemm".into(),
+        variant: "roof 1024^3".into(),
+        n: side,
+        threads,
+        ms,
+        work: 2.0 * (side * side * side * threads) as f64,
+        error: got.map(|got| (got - want).abs() / (side as f64).sqrt()),
+        error_kind: "entry against f64",
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rng::Rng;
 
     fn random(n: usize, row: u64) -> Vec<f32> {
         let mut rng = Rng::new(5, "gemm", 0, row);

@@ -128,6 +128,14 @@ fn parameters_number_as_published() {
     net.visit(&mut |p| assert!(names.insert(p.name.clone()), "{} twice", p.name));
 }
 
+/// Of 8 channels and one level by hand: 9 (6 · 8 + 8 · 8) down, a quarter of 9 (8 · 16 + 16 · 16) below, 16 · 8 grown,
+/// 9 (16 · 8 + 8 · 8) up, 8 · 14 out.
+#[test]
+fn multiply_adds_are_those_of_the_convolutions() {
+    let config = GauNetConfig { width: 8, levels: 1, ..GauNetConfig::tiny() };
+    assert_eq!(config.multiply_adds(), 1008.0 + 864.0 + 128.0 + 1728.0 + 112.0);
+}
+
 #[test]
 fn a_new_geonet_leaves_the_template_as_it_is() {
     let net = GeoNet::new("g", GeoNetConfig { width: 16, ..GeoNetConfig::default() }, 1).unwrap();

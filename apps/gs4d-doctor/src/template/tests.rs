@@ -20,7 +20,11 @@ fn film(clip: &str, size: u32, morph: Morphs) -> Dataset {
 }
 
 fn findings(data: &Dataset) -> Vec<Finding> {
-    check(data, &ImageCache::new(256 << 20, 1.0)).0
+    checked(data).findings
+}
+
+fn checked(data: &Dataset) -> Checked {
+    check(data, &ImageCache::new(256 << 20, 1.0))
 }
 
 /// The film with something changed about the person.
@@ -185,6 +189,37 @@ fn images_without_silhouettes_say_so() {
     let mut data = edited(&data, |scene| scene.frames.iter_mut().flat_map(|f| &mut f.inputs).for_each(opaque));
     data.train.iter_mut().for_each(opaque);
     assert_eq!(reported(&data).iter().map(|t| t.0).collect::<Vec<_>>(), ["template.masks"]);
-    let (found, figures) = check(&film("walk", 64, Morphs::Gt), &ImageCache::new(64 << 20, 1.0));
-    assert_eq!((found.len(), figures.len()), (1, NAMED));
+    assert_eq!(checked(&data).outlines, None);
+    let Checked { findings, figures, .. } = checked(&film("walk", 64, Morphs::Gt));
+    assert_eq!((findings.len(), figures.len()), (1, NAMED));
+}
+
+/// Whether or not anything is wrong with the film.
+#[test]
+fn distances_of_every_camera_and_joint_are_listed() {
+    let data = film("walk", 64, Morphs::Gt);
+    let listed = |data: &Dataset| checked(data).outlines.expect("silhouettes");
+    let sound = listed(&data);
+    assert!(sound.cameras.len() > 3 && sound.cameras.iter().all(|c| c.views == MAX_FRAMES), "{sound:?}");
+    assert!(sound.cameras.iter().all(|c| c.metres > 0.0 && c.metres < 0.04), "{sound:?}");
+    assert!(sound.joints.len() > 4 && sound.joints.is_sorted_by(|a, b| a.metres >= b.metres), "{sound:?}");
+
+    let id = data.train[0].camera_id;
+    let turned = listed(&with_camera(&data, id, |v, _| v.camera = turned(&v.camera, 4.0)));
+    for (before, after) in sound.cameras.iter().zip(&turned.cameras) {
+        assert_eq!(before == after, before.camera != id, "{before:?} {after:?}");
+    }
+    let bent = listed(&edited(&data, |scene| {
+        let node = scene.character.skeleton.node("left upper arm").expect("joint");
+        scene.frames.iter_mut().for_each(|f| f.pose.turn(node, DVec3::Z, 40f64.to_radians()));
+    }));
+    let hand = |o: &Outlines| o.joints.iter().find(|j| j.joint == "left hand").expect("a hand").metres;
+    assert!(hand(&bent) > 2.0 * hand(&sound), "{bent:?}");
+
+    let text = bent.text();
+    let lines = text.lines().count();
+    assert_eq!(lines, 2 + bent.cameras.len() + bent.joints.len(), "{text}");
+    let first = &bent.joints[0];
+    let row = text.lines().find(|l| l.starts_with(first.joint.as_str())).expect("a line of each joint");
+    assert!(row.ends_with(&format!(" {:.2}", 100.0 * first.metres)), "{row}");
 }

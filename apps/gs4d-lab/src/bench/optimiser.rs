@@ -8,7 +8,8 @@ use gs_train::adam::{Adam, Refused, Update};
 const VALUES: usize = 1 << 20;
 const STEPS: usize = 50;
 const RATE: f32 = 1e-3;
-const UPDATE: Update = Update { rate: RATE, eps: 1e-15, sparse: false, weight_decay: 0.0, ramp: 0 };
+/// Plain Adam.
+pub(super) const UPDATE: Update = Update { rate: RATE, eps: 1e-15, sparse: false, weight_decay: 0.0, ramp: 0 };
 
 pub(super) fn rows() -> Vec<BenchRow> {
     let error = constant_gradient_error();

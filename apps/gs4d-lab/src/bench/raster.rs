@@ -2,12 +2,16 @@
 //! time saved and the error made by each approximation of the rasteriser.
 
 use super::variants::speed_against_error;
-use gs_core::speed::BenchRow;
+use super::{Measured, alone};
 use gs_raster::measure::{bytes_per_splat, camera, rows as measured, scene};
 use gs_raster::{RasterOptions, SimdLevel};
 
 /// Number of splats and side of the square image, pixels.
-const SIZES: [(usize, u32); 3] = [(1_000, 128), (10_000, 256), (100_000, 512)];
+const SIZES: [(usize, u32); 4] = [(1_000, 128), (10_000, 256), (12_000, 100), (100_000, 512)];
+/// The size of which PyTorch's times are known.
+const TIMED: (usize, u32) = SIZES[1];
+/// Milliseconds of PyTorch at that size: forward, and both ways.
+const PYTORCH: [f64; 2] = [446.0, 1158.0];
 /// SH degree of the scenes.
 const DEGREE: u8 = 3;
 const RUNS: usize = 5;
@@ -31,20 +35,53 @@ pub fn memory() -> Vec<Memory> {
     };
     SIZES.into_iter().map(of).collect()
 }
+
 /// Bound on pixels × splats of the f64 reference image.
 const REFERENCE_WORK: usize = 10_000_000;
 
-pub(super) fn rows() -> Vec<BenchRow> {
+pub(super) fn rows() -> Vec<Measured> {
     let mut out = Vec::new();
     for (n, side) in SIZES {
-        let (splats, whole) = (scene(n, DEGREE), camera(side));
-        let small = ((REFERENCE_WORK / n) as f64).sqrt().clamp(8.0, f64::from(side)) as u32;
-        for level in [SimdLevel::Auto, SimdLevel::Avx2, SimdLevel::Portable] {
-            let options = RasterOptions { simd: level, ..RasterOptions::default() };
-            out.extend(measured("draw", &splats, &whole, &options, RUNS, small));
-        }
+        out.extend(rows_at((n, side), (n, side) == TIMED));
     }
-    let (n, side) = SIZES[1];
-    out.extend(speed_against_error(&scene(n, DEGREE), &camera(side), &RasterOptions::default()));
+    let (n, side) = TIMED;
+    out.extend(alone(speed_against_error(&scene(n, DEGREE), &camera(side), &RasterOptions::default())));
     out
+}
+
+/// Rows of one size at every instruction set.
+fn rows_at((n, side): (usize, u32), timed: bool) -> Vec<Measured> {
+    let (splats, whole) = (scene(n, DEGREE), camera(side));
+    let small = ((REFERENCE_WORK / n) as f64).sqrt().clamp(8.0, f64::from(side)) as u32;
+    let mut out = Vec::new();
+    for level in [SimdLevel::Auto, SimdLevel::Avx2, SimdLevel::Portable] {
+        let options = RasterOptions { simd: level, ..RasterOptions::default() };
+        let pytorch = PYTORCH.map(|ms| timed.then_some(ms)).into_iter().chain([None]);
+        let rows = measured("draw", &splats, &whole, &options, RUNS, small).into_iter().zip(pytorch);
+        out.extend(rows.map(|(row, pytorch)| Measured { pytorch, ..row.into() }));
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_of_the_timed_size_stand_beside_pytorch() {
+        for timed in [false, true] {
+            let rows = rows_at((50, 16), timed);
+            assert!(rows.len() == 9 && rows.iter().all(|m| m.row.n == 50 && m.row.case == "draw@16" && !m.flops));
+            for m in &rows {
+                let of = |variant: &str| m.row.variant.starts_with(variant);
+                let want = match (of("forward+backward+camera"), of("forward+backward")) {
+                    (true, _) => None,
+                    (_, true) => Some(1158.0),
+                    _ => Some(446.0),
+                };
+                assert_eq!(m.pytorch, want.filter(|_| timed), "{}", m.row.variant);
+            }
+        }
+        assert_eq!((TIMED, SIZES.contains(&(12_000, 100))), ((10_000, 256), true));
+    }
 }

@@ -4,13 +4,12 @@ use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
 use crate::opening::RunData;
-use gs_core::speed::BenchRow;
-use gs4d_lab::bench::{GROUPS, Memory, StageOptions, StageTimes, memory, roofline, stage_times};
+use gs4d_lab::bench::{GROUPS, Measured, Memory, PYTORCH, Roofs, StageOptions, StageTimes, memory, stage_times};
 use gs4d_lab::people::{LabError, Trained};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// Measure speed and error of rendering, metrics, fields and optimiser on this machine, or the stages of a frame of a dut run
+/// Measure speed and error of rendering, metrics, fields, networks and optimiser on this machine, or the stages of a frame of a dut run
 #[derive(clap::Args)]
 pub struct Bench {
     /// A run of the method dut: what each stage of a new frame takes, on one thread and on all.
@@ -65,57 +64,78 @@ impl Bench {
             return Err(Failure::usage(format!("there are no measurements of `{name}`"))
                 .remedy(format!("choose one of {}", known.join(", "))));
         }
-        let mut rows: Vec<BenchRow> = Vec::new();
+        let mut rows: Vec<Measured> = Vec::new();
         for group in GROUPS.iter().filter(|g| self.only.as_deref().is_none_or(|name| name == g.name)) {
             global.say(format!("measuring {}", group.name));
             rows.extend((group.measure)());
         }
-        let (fma, exp) = roofline();
-        let mut text = speed_text(&rows).trim_start().to_owned();
-        let memory = if rows.iter().any(|r| r.krate == "gs-raster") { memory() } else { Vec::new() };
+        let roofs = Roofs::measure();
+        let mut text = speed_text(&rows, &roofs).trim_start().to_owned();
+        let memory = if rows.iter().any(|m| m.row.krate == "gs-raster") { memory() } else { Vec::new() };
         for Memory { splats, side, bytes: [frame, both] } in &memory {
             text.push_str(&format!(
                 "draw@{side}: each of {splats} splats takes {frame:.0} bytes in a frame, {both:.0} with gradients\n"
             ));
         }
+        let Roofs { fma_gflops, gemm_gflops, exp2_giga_per_second, threads } = roofs;
         text.push_str(&format!(
-            "roofs of this machine on {} threads: {fma:.1} GFLOP/s fused multiply-add, {exp:.2} G exponentials/s\n",
-            rayon::current_num_threads()
+            "roofs of this machine on {threads} threads: {fma_gflops:.1} GFLOP/s fused multiply-add, {gemm_gflops:.1} GFLOP/s products of \
+             1024^3, {exp2_giga_per_second:.2} G exponentials/s\n"
         ));
-        let roofs = json!({"fma_gflops": fma, "exp2_giga_per_second": exp, "threads": rayon::current_num_threads()});
-        Ok(Answer::new(text, json!({"rows": speed_json(&rows), "memory": memory, "roofs": roofs})))
+        let json = json!({"rows": speed_json(&rows, &roofs), "memory": memory, "roofs": roofs, "pytorch": PYTORCH});
+        Ok(Answer::new(text, json))
     }
+}
+
+/// Share of the rate of matrix products, where operations are counted.
+fn of_gemm(m: &Measured, roofs: &Roofs) -> Option<f64> {
+    m.gflops().map(|rate| rate / roofs.gemm_gflops)
 }
 
 /// Benchmark rows as a JSON array.
-fn speed_json(rows: &[BenchRow]) -> Value {
-    // Each row writes valid JSON of its own.
-    rows.iter().map(|r| serde_json::from_str(&r.to_json()).unwrap_or_default()).collect::<Vec<Value>>().into()
+fn speed_json(rows: &[Measured], roofs: &Roofs) -> Value {
+    let object = |m: &Measured| {
+        // Each row writes valid JSON of its own.
+        let mut row: Value = serde_json::from_str(&m.row.to_json()).unwrap_or_default();
+        row["gflops"] = json!(m.gflops());
+        row["of_gemm"] = json!(of_gemm(m, roofs));
+        row["pytorch_ms"] = json!(m.pytorch);
+        row
+    };
+    rows.iter().map(object).collect::<Vec<Value>>().into()
 }
 
 /// The rows of speed against error as a table.
-fn speed_text(rows: &[BenchRow]) -> String {
-    let mut out = String::new();
-    for (i, r) in rows.iter().enumerate() {
-        if i == 0 {
-            out.push_str(&format!(
-                "\n{:46}{:>8}{:>10}{:>9}  {}\n",
-                "speed against error", "size", "ms", "error", "error is"
-            ));
-        }
-        let what = format!("{} · {}", r.case, r.variant);
-        let error = r.error.map_or("-".to_owned(), |e| format!("{e:.0e}"));
-        out.push_str(&format!("{what:46}{:>8}{:>10.3}{error:>9}  {}\n", r.n, r.ms, r.error_kind));
+fn speed_text(rows: &[Measured], roofs: &Roofs) -> String {
+    if rows.is_empty() {
+        return String::new();
     }
-    if !rows.is_empty() {
-        out.push('\n');
+    let line = |what: &str, cells: [&str; 6], kind: &str| {
+        let [size, ms, rate, share, pytorch, error] = cells;
+        format!("{what:46}{size:>8}{ms:>10}{rate:>9}{share:>9}{pytorch:>12}{error:>9}  {kind}\n")
+    };
+    let head = ["size", "ms", "GFLOP/s", "of gemm", "PyTorch ms", "error"];
+    let mut out = format!("\n{}", line("speed against error", head, "error is"));
+    for m in rows {
+        let cell = |value: Option<String>| value.unwrap_or_else(|| "-".to_owned());
+        let rate = cell(m.gflops().map(|v| format!("{v:.1}")));
+        let share = cell(of_gemm(m, roofs).map(|v| format!("{:.0} %", 100.0 * v)));
+        let pytorch = cell(m.pytorch.map(|v| format!("{v}")));
+        let error = cell(m.row.error.map(|e| format!("{e:.0e}")));
+        let (size, ms) = (m.row.n.to_string(), format!("{:.3}", m.row.ms));
+        let what = format!("{} · {}", m.row.case, m.row.variant);
+        out.push_str(&line(&what, [&size, &ms, &rate, &share, &pytorch, &error], m.row.error_kind));
     }
-    out
+    if rows.iter().any(|m| m.pytorch.is_some()) {
+        out.push_str(&format!("{PYTORCH}\n"));
+    }
+    out + "\n"
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gs_core::speed::BenchRow;
 
     #[test]
     fn rows_are_aligned() {
@@ -126,12 +146,25 @@ mod tests {
             n: 1,
             threads: 2,
             ms: 1.5,
-            work: 1.0,
+            work: 3e8,
             error: Some(2e-7),
             error_kind: "max",
         };
-        let text = speed_text(&[row]);
+        let roofs = Roofs { fma_gflops: 500.0, gemm_gflops: 400.0, exp2_giga_per_second: 1.0, threads: 2 };
+        let alone = [Measured { row: row.clone(), flops: false, pytorch: None }];
+        let text = speed_text(&alone, &roofs);
         assert!(text.contains("draw · v") && text.contains("1.500") && text.contains("2e-7  max"), "{text}");
-        assert!(speed_text(&[]).is_empty());
+        assert!(!text.contains(PYTORCH), "{text}");
+        let json = speed_json(&alone, &roofs);
+        assert!(
+            json[0]["gflops"].is_null() && json[0]["of_gemm"].is_null() && json[0]["pytorch_ms"].is_null(),
+            "{json}"
+        );
+        let held = [Measured { row, flops: true, pytorch: Some(17.0) }];
+        let text = speed_text(&held, &roofs);
+        assert!(text.contains("    200.0     50 %          17     2e-7  max") && text.contains(PYTORCH), "{text}");
+        let json = speed_json(&held, &roofs);
+        assert_eq!([&json[0]["gflops"], &json[0]["of_gemm"], &json[0]["pytorch_ms"]], [200.0, 0.5, 17.0]);
+        assert!(speed_text(&[], &roofs).is_empty());
     }
 }

@@ -6,7 +6,9 @@ use crate::global::Global;
 use crate::output::create_folder;
 use gs_core::io::{IoError, folder_of, write_file};
 use gs_data::DataOptions;
-use gs4d_doctor::{CheckOptions, Checkup, CostOptions, Finding, Verdict, apply, examine_and_tell, is_page, page};
+use gs4d_doctor::{
+    CheckOptions, Checkup, CostOptions, Finding, Outlines, Verdict, apply, examine_and_tell, is_page, page,
+};
 use gs4d_run::settings::{Request, resolve};
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -170,12 +172,13 @@ impl Doctor {
     }
 }
 
-/// Findings as lines of a table.
+/// Findings as lines of a table, then the outlines of a filmed person.
 fn text(c: &Checkup, page: Option<&str>, written: &[String]) -> String {
     let mut out = String::new();
     for f in &c.findings {
         out.push_str(&line(f));
     }
+    out.push_str(&c.outlines.as_ref().map_or(String::new(), Outlines::text));
     if !written.is_empty() {
         out.push_str(&format!("wrote {} into {}\n", written.join(" and "), c.root.join("scene.toml").display()));
     }

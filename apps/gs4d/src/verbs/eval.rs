@@ -11,6 +11,7 @@ use crate::progress::Waiting;
 use gs_core::io::{Limits, read_file};
 use gs_data::Split;
 use gs_train::evaluate::MaskedScores;
+use gs_train::report::Section;
 use gs4d_eval::compare::{Metric, SetScores};
 use gs4d_eval::folders::{
     FolderScores, FolderTask, Lpips, LpipsRange, Quantise, TofOptions, VideoScore, score, tof_protocol,
@@ -19,7 +20,7 @@ use gs4d_eval::temporal;
 use gs4d_run::folder::METRICS;
 use gs4d_run::opened::metrics_json;
 use gs4d_run::summary::color_name;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -219,6 +220,8 @@ impl Eval {
             Some(_) => run.score_for_folder(&dataset)?,
             None => run.score(&dataset, split, background)?,
         };
+        // What the model says of itself; without events nothing of its training.
+        let section = if global.share.leads() { run.loaded.model.report_section(&[])? } else { None };
         drop(waiting);
         if self.asks_for(MetricName::Masked) && scores.mean.masked.is_none() {
             return Err(Failure::new(Class::Data, "data.mask", "no view of this split has a mask")
@@ -230,6 +233,9 @@ impl Eval {
             text.push_str(&motion_text(&score, options));
             json["tof"] = json!(score);
             json["tof_protocol"] = json!(tof_protocol(options));
+        }
+        if let Some(section) = section {
+            add_section(section, &mut text, &mut json);
         }
         if let Some(folder) = folder.filter(|_| global.share.leads()) {
             // Scores that cannot be kept are printed all the same.
@@ -290,6 +296,16 @@ pub fn read_lpips(path: &Path, range: RangeName) -> Result<Lpips, Failure> {
             .place(path.display())
             .remedy("make the file as docs/guide/report.md says, with Python's packages lpips and safetensors")
     })
+}
+
+/// Adds the method's own statistics to the scores, where it has some.
+fn add_section(section: Section, text: &mut String, json: &mut Value) {
+    for row in &section.rows {
+        text.push_str(&format!("{:26}{:>22}  {}\n", row.name, row.value, row.meaning));
+    }
+    if !section.rows.is_empty() {
+        json["section"] = section.json;
+    }
 }
 
 fn motion_text(score: &VideoScore, options: TofOptions) -> String {

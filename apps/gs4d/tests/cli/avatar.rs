@@ -2,6 +2,7 @@
 
 use crate::support::{good, gs4d, text};
 use gs_core::testkit::shared;
+use serde_json::Value;
 
 const SMALL: [&str; 8] = ["--cams", "8x1", "--frames", "4", "--size", "40", "--points", "500"];
 
@@ -25,6 +26,31 @@ fn a_film_is_made_and_trained_on() {
     gs4d(&["init", text(&film), "--cameras", text(&rig)]).fails(6, &["cameras.json"]);
     gs4d(&["init", text(&film), "--cameras", text(&rig), "-f"]).fails(6, &["intri.yml"]);
     gs4d(&["init", text(&film), "--held-out", "1"]).fails(2, &["--cameras"]);
+}
+
+/// By the method's own section, which `inspect` prints, too; other methods have none.
+#[test]
+fn offsets_of_the_template_are_scored_where_the_truth_is_known() {
+    let dir = tempfile::tempdir().unwrap();
+    let (film, run) = (dir.path().join("film"), dir.path().join("run"));
+    good(&[&["synth", "avatar", "-o", text(&film)][..], &SMALL].concat());
+    let train = ["train", text(&film), "-m", "dut", "--preset", "direct", "--steps", "8", "-o", text(&run), "--quiet"];
+    let small = ["textures.unproject=48", "textures.geo=32", "textures.gau=48"];
+    good(&[&train[..], &small.map(|set| ["--set", set]).concat()].concat());
+    let table = good(&["eval", text(&run), "--quiet"]).out;
+    assert!(table.contains("error of offsets") && table.contains("error along normals"), "{table}");
+    let read =
+        |name: &str| -> Value { serde_json::from_str(&std::fs::read_to_string(run.join(name)).unwrap()).unwrap() };
+    let kept = read("metrics.json")["section"]["offsets"].clone();
+    for (what, k) in [("error", 0), ("error", 1), ("length_m", 0), ("length_m", 1)] {
+        assert!(kept[what][k].as_f64().is_some_and(|v| v > 0.0), "{what} {k}: {kept}");
+    }
+    let said = good(&["eval", text(&run), "--split", "train", "--json"]).json();
+    assert_eq!(said["section"]["offsets"], kept, "of all frames, whatever the split");
+    let inspected = good(&["inspect", text(&run), "--moments", "4", "--json"]).json();
+    assert_eq!(inspected["journal"]["offsets"], kept);
+    let other = good(&["eval", text(crate::support::run()), "--json"]).json();
+    assert!(other["section"].is_null() && other["mean"]["psnr"].is_number(), "{other}");
 }
 
 #[test]

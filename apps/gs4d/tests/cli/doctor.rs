@@ -35,6 +35,28 @@ fn sound_data_have_a_page_and_a_price() {
     let json = call.json();
     assert_eq!(json["checkup"]["layout"], "blender");
     assert!(json["checkup"]["cost"]["seconds"][1].as_f64().unwrap() > 0.0);
+    assert!(json["checkup"]["outlines"].is_null(), "there is no person");
+}
+
+/// Beside whatever verdict there is.
+#[test]
+fn a_filmed_person_has_a_table_of_outlines() {
+    let dir = tempfile::tempdir().unwrap();
+    let (film, html) = (dir.path().join("film"), dir.path().join("doctor.html"));
+    let small = ["--cams", "8x1", "--frames", "4", "--size", "64", "--points", "500"];
+    good(&[&["synth", "avatar", "-o", text(&film)][..], &small].concat());
+    let all = ["doctor", text(&film), "--no-cost", "-o", text(&html)];
+    let table = gs4d(&all).out;
+    let json: serde_json::Value = serde_json::from_str(&gs4d(&[&all[..], &["--json"]].concat()).out).unwrap();
+    let outlines = &json["checkup"]["outlines"];
+    let [cameras, joints] = ["cameras", "joints"].map(|of| outlines[of].as_array().unwrap());
+    assert!(cameras.len() > 3 && cameras.iter().all(|c| c["views"] == 4), "{outlines}");
+    assert!(table.contains("outlines in camera") && table.contains("outlines moved by joint"), "{table}");
+    for joint in joints {
+        let (name, cm) = (joint["joint"].as_str().unwrap(), 100.0 * joint["metres"].as_f64().unwrap());
+        let stated = table.lines().any(|l| l.starts_with(name) && l.ends_with(&format!(" {cm:.2}")));
+        assert!(stated, "{name} {cm}: {table}");
+    }
 }
 
 #[test]

@@ -151,7 +151,24 @@ fn bench_rows_have_time_and_error() {
     let row = &json["rows"][0];
     assert_eq!(row["crate"], "gs-train");
     assert!(row["ms"].as_f64().unwrap() > 0.0 && row["error"].as_f64().unwrap() < 1e-4, "{row}");
+    assert!(row["gflops"].is_null() && row["pytorch_ms"].is_null(), "{row}");
     assert!(json["roofs"]["fma_gflops"].as_f64().unwrap() > 0.1);
+}
+
+#[test]
+fn bench_rows_of_layers_stand_beside_pytorch() {
+    let json = good(&["bench", "--crate", "gs-core", "--json", "--quiet"]).json();
+    let rows = json["rows"].as_array().unwrap();
+    let named: Vec<_> = rows.iter().map(|r| (r["case"].as_str().unwrap(), r["n"].as_u64().unwrap())).collect();
+    let wanted = [("mlp 84-8x256-10", 10_000), ("mlp 3x64", 100_000), ("conv 3x3 64->64", 128 * 128)];
+    assert_eq!(named, wanted.map(|w| [w; 2]).concat());
+    let gemm = json["roofs"]["gemm_gflops"].as_f64().unwrap();
+    for (row, pytorch) in rows.iter().zip([67.0, 159.0, 21.0, 90.0, 7.3, 17.0]) {
+        let (rate, share) = (row["gflops"].as_f64().unwrap(), row["of_gemm"].as_f64().unwrap());
+        assert!(rate > 0.1 && (share * gemm / rate - 1.0).abs() < 1e-9, "{row}");
+        assert!(row["error"].as_f64().unwrap() < 1e-5 && row["pytorch_ms"].as_f64() == Some(pytorch), "{row}");
+    }
+    assert!(json["pytorch"].as_str().unwrap().contains("2.15"), "{json}");
 }
 
 #[test]
