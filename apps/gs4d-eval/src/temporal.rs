@@ -1,11 +1,13 @@
 //! Temporal consistency of renders: tOF ([`gs_metrics::tof`]) against ground truth over the views of one camera.
 //!
 //! Flow between consecutive frames is meaningful only along a video: views of **one** camera, one per time, at most four
-//! typical time steps of the data set apart. Anything else is an error.
+//! typical time steps of the data set apart. Anything else is an error. A split of several cameras is scored camera by camera
+//! ([`tof_by_camera`]).
 
 use crate::folders::VideoScore;
 use gs_data::{DataError, Dataset, Split, View};
 use gs_metrics::{MetricError, Tof, TofOptions};
+use gs_train::cameras::Correction;
 use gs_train::evaluate::{EvalError, Scoring, place};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
@@ -79,35 +81,93 @@ pub fn tof(
     scoring: &Scoring<'_>,
     options: TofOptions,
 ) -> Result<VideoScore, TemporalError> {
-    let views = video(dataset, split)?;
-    let Scoring { background, images, device, .. } = *scoring;
-    let mut renderer = Renderer::on(device, method.raster_options(background))?;
-    let mut tof = Tof::new(options);
-    // In the order of the data, as for other scores.
-    let all = dataset.views(split);
-    let corrections = place(method, all, background, images, &Share::default())?;
-    for &view in &views {
-        let row = all.iter().position(|v| std::ptr::eq(v, view));
-        let shown = row.and_then(|row| corrections[row]).unwrap_or_default().corrected(view);
-        let image = renderer.view(method, &shown, &images.camera(&shown))?;
-        let truth = images.get(view)?.over(background);
-        tof.add(&image, &truth).map_err(|source| TemporalError::Metric { view: view.name.clone(), source })?;
-    }
-    let last = views.last().map_or(String::new(), |v| v.name.clone());
-    let score = tof.finish().map_err(|source| TemporalError::Metric { view: last, source })?;
-    Ok(VideoScore::new(&score, |i| &views[i].name))
+    let views = video(dataset, dataset.views(split).iter().collect())?;
+    Films::new(method, dataset.views(split), scoring)?.score(&views, options)
 }
 
-/// The views of a split in order of time, if they form a video.
-fn video(dataset: &Dataset, split: Split) -> Result<Vec<&View>, TemporalError> {
-    let mut views: Vec<&View> = dataset.views(split).iter().collect();
+/// tOF of every camera of a split whose views are a video, in the order of the data. The others are left out.
+///
+/// # Errors
+/// As [`tof`]; if no camera filmed a video, why the one with the most views did not.
+pub fn tof_by_camera(
+    method: &Model,
+    dataset: &Dataset,
+    split: Split,
+    scoring: &Scoring<'_>,
+    options: TofOptions,
+) -> Result<Vec<VideoScore>, TemporalError> {
+    let all = dataset.views(split);
+    let cameras = by_camera(all);
+    let videos: Vec<_> = cameras.iter().filter_map(|views| video(dataset, views.clone()).ok()).collect();
+    if videos.is_empty() {
+        let longest = cameras.into_iter().max_by_key(Vec::len).filter(|views| views.len() > 1);
+        return video(dataset, longest.unwrap_or_else(|| all.iter().collect())).map(|_| Vec::new());
+    }
+    let mut films = Films::new(method, all, scoring)?;
+    videos.iter().map(|views| films.score(views, options)).collect()
+}
+
+/// Renders views of a split and scores them as videos.
+struct Films<'a> {
+    method: &'a Model,
+    /// The views of the split, and the corrections of their cameras.
+    all: &'a [View],
+    corrections: Vec<Option<Correction>>,
+    scoring: &'a Scoring<'a>,
+    renderer: Renderer,
+}
+
+impl<'a> Films<'a> {
+    fn new(method: &'a Model, all: &'a [View], scoring: &'a Scoring<'a>) -> Result<Self, TemporalError> {
+        let Scoring { background, images, device, .. } = *scoring;
+        let renderer = Renderer::on(device, method.raster_options(background))?;
+        // In the order of the data, as for other scores.
+        let corrections = place(method, all, background, images, &Share::default())?;
+        Ok(Self { method, all, corrections, scoring, renderer })
+    }
+
+    /// tOF of a video, views in order of time.
+    fn score(&mut self, views: &[&View], options: TofOptions) -> Result<VideoScore, TemporalError> {
+        let Scoring { background, images, .. } = *self.scoring;
+        let mut tof = Tof::new(options);
+        for &view in views {
+            let row = self.all.iter().position(|v| std::ptr::eq(v, view));
+            let correction = row.and_then(|row| *self.corrections.get(row)?);
+            let shown = correction.unwrap_or_default().corrected(view);
+            let image = self.renderer.view(self.method, &shown, &images.camera(&shown))?;
+            let truth = images.get(view)?.over(background);
+            tof.add(&image, &truth).map_err(|source| TemporalError::Metric { view: view.name.clone(), source })?;
+        }
+        let last = views.last().map_or(String::new(), |v| v.name.clone());
+        let score = tof.finish().map_err(|source| TemporalError::Metric { view: last, source })?;
+        Ok(VideoScore::new(&score, |i| &views[i].name))
+    }
+}
+
+/// Whether two views are of one camera. Equal poses are one, too: not all data sets name cameras.
+fn same_camera(a: &View, b: &View) -> bool {
+    a.camera_id == b.camera_id || a.camera == b.camera
+}
+
+/// The views of each camera, cameras in the order of the data.
+fn by_camera(views: &[View]) -> Vec<Vec<&View>> {
+    let mut cameras: Vec<Vec<&View>> = Vec::new();
+    for view in views {
+        match cameras.iter_mut().find(|c| c.first().is_some_and(|first| same_camera(first, view))) {
+            Some(camera) => camera.push(view),
+            None => cameras.push(vec![view]),
+        }
+    }
+    cameras
+}
+
+/// These views in order of time, if they form a video.
+fn video<'a>(dataset: &Dataset, mut views: Vec<&'a View>) -> Result<Vec<&'a View>, TemporalError> {
     views.sort_by(|a, b| a.time.normalised.total_cmp(&b.time.normalised));
     let Some(first) = views.first().filter(|_| views.len() > 1) else {
         return Err(TemporalError::NoVideo(views.len()));
     };
-    // Equal poses are one camera, too: not all data sets name cameras.
-    let other = |v: &&&View| v.camera_id != first.camera_id && v.camera != first.camera;
-    if let Some(other) = views.iter().find(other) {
+    if let Some(other) = views.iter().find(|v| !same_camera(first, v)) {
         return Err(TemporalError::Cameras { first: first.name.clone(), second: other.name.clone() });
     }
     let time = |v: &View| f64::from(v.time.normalised);
@@ -127,4 +187,53 @@ fn typical_gap(times: impl Iterator<Item = f64>) -> f64 {
     let mut gaps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).filter(|g| *g > 0.0).collect();
     gaps.sort_by(f64::total_cmp);
     gaps.get(gaps.len() / 2).copied().unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gs_data::ImageCache;
+    use gs_synth::{self as synth, SynthOptions};
+    use gs_train::registry::section;
+    use gs_train::scene::SceneInfo;
+
+    fn generated(options: SynthOptions) -> Dataset {
+        synth::generate("balls", &SynthOptions { size: 48, ..options }).unwrap().dataset
+    }
+
+    /// Scores of a model that rests.
+    fn by_cameras(data: &Dataset) -> Result<Vec<VideoScore>, TemporalError> {
+        let entry = gs_methods::registry().find("static3d").unwrap();
+        let config = entry.config("tiny").unwrap();
+        let scene = SceneInfo::of(data, &section("static3d", &config, "init").unwrap(), 0).unwrap();
+        let model = entry.model(&config, &scene).unwrap();
+        let (images, share, device) = (ImageCache::new(16 << 20, 1.0), Share::default(), Default::default());
+        let scoring = Scoring::new([0.0; 3], &images, &share, &device);
+        tof_by_camera(&model, data, Split::Test, &scoring, TofOptions { trim: false, crop: false })
+    }
+
+    #[test]
+    fn every_camera_that_filmed_is_scored_by_itself() {
+        let data = generated(SynthOptions { cameras: 2, held_out: 2, moments: 8, ..SynthOptions::default() });
+        let both = by_cameras(&data).unwrap();
+        let moments = data.test.len() / 2;
+        assert_eq!(both.iter().map(|s| s.pairs.len()).collect::<Vec<_>>(), [moments - 1; 2]);
+        assert!(both[0].mean > 0.0 && (both[0].mean - both[1].mean).abs() > 1e-9, "{both:?}");
+        let first = data.test[0].camera_id;
+        let mut alone = data.clone();
+        alone.test.retain(|v| v.camera_id == first);
+        assert_eq!(by_cameras(&alone).unwrap(), both[..1]);
+        // One image of the other camera is no video.
+        alone.test.extend(data.test.iter().find(|v| v.camera_id != first).cloned());
+        assert_eq!(by_cameras(&alone).unwrap(), both[..1]);
+    }
+
+    #[test]
+    fn cameras_that_did_not_film_have_no_score() {
+        let data = generated(SynthOptions { train_views: 6, val_views: 1, test_views: 4, ..SynthOptions::default() });
+        assert!(matches!(by_cameras(&data), Err(TemporalError::Cameras { .. })), "a camera for each view");
+        let mut twice = generated(SynthOptions { cameras: 2, held_out: 1, moments: 8, ..SynthOptions::default() });
+        twice.test.push(View { name: "again".into(), ..twice.test[0].clone() });
+        assert!(matches!(by_cameras(&twice), Err(TemporalError::SameTime { .. })));
+    }
 }

@@ -1,9 +1,10 @@
 //! Tables of figures in the documents, and whether the presets they name are still what was measured.
 //!
-//! `docs/tables.toml` lists every table of figures in `README.md` and below `docs`: the file, how its head begins, the command, the commit where it is known
-//! and the seeds. A table that depends on a preset names it with a digest of its settings, and `docs/presets/METHOD-PRESET.toml` keeps them
+//! `docs/tables.toml` lists every table of figures in `README.md` and below `docs`: the file, how its head begins, the command, the commit and
+//! the seeds. A table of trainings names their presets with a digest of their settings, and `docs/presets/METHOD-PRESET.toml` keeps them
 //! (the output of `gs4d config METHOD --preset PRESET`, comments may be left out). [`check`] compares them with the presets of this program. A setting that
 //! has another value now, or is gone, makes the table old. A setting that came later does not: it is added with a default that changes nothing.
+//! A table that is known to be old names the preset in `older_than`, and its document the commit.
 
 use gs_core::io::{IoError, Limits, read_text};
 use gs_train::registry::Registry;
@@ -25,15 +26,51 @@ pub struct Listed {
     pub head: String,
     /// The command that measured it.
     pub command: String,
-    /// The commit it was measured at, of several the oldest; absent where it was not written down.
+    /// The commit it was measured at, of several the oldest; where it was not written down, the first that has the figures.
     #[serde(default)]
     pub commit: Option<String>,
+    /// Whether its figures follow from definitions: nothing was measured, and no commit is needed.
+    #[serde(default)]
+    pub exact: bool,
     /// Seeds of the runs; empty where nothing is drawn by chance.
     #[serde(default)]
     pub seeds: Vec<u64>,
     /// `METHOD:PRESET` and the digest of its settings.
     #[serde(default)]
     pub presets: BTreeMap<String, String>,
+    /// `METHOD:PRESET` that the trainings had and that has changed since.
+    #[serde(default)]
+    pub older_than: Vec<String>,
+}
+
+/// Words of commands that train.
+const TRAININGS: [&str; 6] = [
+    "gs4d train ",
+    "gs4d compare ",
+    "gs4d continual ",
+    "gs4d reproduce ",
+    "--example train_dut ",
+    "--example scaling ",
+];
+
+impl Listed {
+    /// What is wrong with the entry itself; `document` is the text of its file.
+    fn faults(&self, document: &str) -> Vec<Finding> {
+        let table = format!("{}: {}", self.file, self.head);
+        let mut faults = Vec::new();
+        if self.commit.is_none() && !self.exact {
+            faults.push(Finding::NoCommit { table: table.clone() });
+        }
+        let trains = TRAININGS.iter().any(|words| self.command.contains(words));
+        if trains && self.presets.is_empty() && self.older_than.is_empty() {
+            faults.push(Finding::NoPreset { table: table.clone() });
+        }
+        let commit = self.commit.clone().unwrap_or_default();
+        if !self.older_than.is_empty() && !document.contains(&commit) {
+            faults.push(Finding::Unsaid { table, commit });
+        }
+        faults
+    }
 }
 
 #[derive(Deserialize)]
@@ -74,6 +111,23 @@ pub enum Finding {
         /// Tables that begin so.
         number: usize,
     },
+    /// A table without a commit that is not exact.
+    NoCommit {
+        /// `FILE: HEAD`.
+        table: String,
+    },
+    /// A table of trainings without a preset.
+    NoPreset {
+        /// `FILE: HEAD`.
+        table: String,
+    },
+    /// The document of a table that is older than a preset does not name the commit.
+    Unsaid {
+        /// `FILE: HEAD`.
+        table: String,
+        /// As listed.
+        commit: String,
+    },
     /// A preset that a table names is not the one it was measured with.
     Old {
         /// `FILE: HEAD`.
@@ -91,6 +145,11 @@ impl fmt::Display for Finding {
             Self::Unlisted { place, head } => write!(f, "{place}: docs/tables.toml does not list the table {head}"),
             Self::NotOne { file, head, number } => {
                 write!(f, "docs/tables.toml: {number} tables of {file} begin with {head}, not one")
+            }
+            Self::NoCommit { table } => write!(f, "{table}: no commit, and not marked as exact"),
+            Self::NoPreset { table } => write!(f, "{table}: trainings without a preset"),
+            Self::Unsaid { table, commit } => {
+                write!(f, "{table}: older than a preset, and the document does not name its commit {commit}")
             }
             Self::Old { table, preset, why } => write!(f, "{table}: {preset} has changed since it was measured: {why}"),
         }
@@ -141,6 +200,9 @@ pub fn check(root: &Path, registry: &Registry) -> Result<Checked, DocumentError>
     for listed in list.table {
         let begins = |t: &&Found| t.file == listed.file && t.head.starts_with(&listed.head);
         let these: Vec<&Found> = found.iter().filter(begins).collect();
+        let document = read(&root.join(&listed.file)).unwrap_or_default();
+        findings.extend(listed.faults(&document));
+        listed.older_than.iter().try_for_each(|preset| old.exists(preset))?;
         for (preset, digest) in &listed.presets {
             if let Some(why) = old.difference(preset, digest)? {
                 let table = format!("{}: {}", listed.file, listed.head);
@@ -224,9 +286,16 @@ impl Presets<'_> {
         Ok(if kept == digest { changed.clone() } else { Some(format!("the kept settings have the digest {kept}")) })
     }
 
+    /// Fails if there is no such preset.
+    fn exists(&self, preset: &str) -> Result<(), DocumentError> {
+        let (method, name) = named(preset);
+        with_preset(self.registry, method, name)?;
+        Ok(())
+    }
+
     /// The digest of the kept settings, and how the present ones differ from them.
     fn state(&self, preset: &str) -> Result<(String, Option<String>), DocumentError> {
-        let (method, name) = preset.split_once(':').unwrap_or((preset, "fast"));
+        let (method, name) = named(preset);
         let file = self.root.join(format!("docs/presets/{method}-{name}.toml"));
         let kept = values(&Config::of_toml(&read(&file)?)?);
         let now = values(&with_preset(self.registry, method, name)?);
@@ -238,6 +307,11 @@ impl Presets<'_> {
         let all: Vec<String> = kept.iter().filter_map(differs).collect();
         Ok((digest(&kept), (!all.is_empty()).then(|| all.join("; "))))
     }
+}
+
+/// Method and preset of `METHOD:PRESET`.
+fn named(preset: &str) -> (&str, &str) {
+    preset.split_once(':').unwrap_or((preset, "fast"))
 }
 
 /// The settings of a method by key, those of the run and of the data left out.
@@ -321,6 +395,42 @@ mod tests {
         fs::write(root.path().join("docs/tables.toml"), listed(&digest(&other))).unwrap();
         let old = findings(root.path())[0].to_string();
         assert!(old.contains("still.pixels was 7.5, is 0.0") && old.contains("still.gone is gone"), "{old}");
+    }
+
+    /// A list of one table.
+    fn one(lines: &str) -> String {
+        format!("[[table]]\nfile = \"docs/a.md\"\nhead = \"| method |\"\n{lines}\n")
+    }
+
+    #[test]
+    fn what_was_measured_has_a_commit() {
+        let found = |lines: &str| findings(repository(&one(lines)).path());
+        let table = "docs/a.md: | method |".to_owned();
+        assert_eq!(found("command = \"cargo bench\""), [Finding::NoCommit { table }]);
+        assert_eq!(found("command = \"cargo bench\"\ncommit = \"abc1234\""), []);
+        assert_eq!(found("command = \"by hand\"\nexact = true"), []);
+    }
+
+    #[test]
+    fn trainings_name_their_presets() {
+        for command in
+            ["gs4d train DATA -m fags", "gs4d reproduce fags dnerf -o OUT", "cargo run --example train_dut -- tiny"]
+        {
+            let list = one(&format!("command = \"{command}\"\ncommit = \"abc1234\""));
+            assert!(matches!(findings(repository(&list).path())[..], [Finding::NoPreset { .. }]), "{command}");
+        }
+    }
+
+    #[test]
+    fn a_table_may_be_older_than_a_preset_where_its_document_says_so() {
+        let list = one("command = \"gs4d train DATA -m fags\"\ncommit = \"abc1234\"\nolder_than = [\"fags:fast\"]");
+        let root = repository(&list);
+        let said = findings(root.path())[0].to_string();
+        assert!(said.contains("does not name its commit abc1234"), "{said}");
+        fs::write(root.path().join("docs/a.md"), format!("{DOCUMENT}\nMeasured at abc1234.\n")).unwrap();
+        assert_eq!(findings(root.path()), []);
+        fs::write(root.path().join("docs/tables.toml"), list.replace("fags:fast", "fags:nosuch")).unwrap();
+        assert!(check(root.path(), gs_methods::registry()).is_err(), "there is no such preset");
     }
 
     /// The documents of this repository.

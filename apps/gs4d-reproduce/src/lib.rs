@@ -4,6 +4,7 @@
 //!   they are printed. [`Table::all`] lists them.
 //! * A [`Reproduction`] is a table under the [`Conditions`] of a machine: scenes that are there ([`DataSet`]), or generated ones in their
 //!   place, seeds, preset, length. It is one [`gs4d_lab::contest::Contest`] a scene: it can be interrupted, planned and collected.
+//! * [`Beside`] holds what training does not score: LPIPS with the user's weights, tOF.
 //! * An [`Outcome`] holds our figures beside the published ones, the paper's order of methods with paired differences, and what was not
 //!   run; [`page`] shows it.
 //! * [`documents`] says which tables of the documents name a preset that has changed since they were measured.
@@ -19,16 +20,20 @@
 #![warn(unreachable_pub)]
 #![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 
+mod beside;
 mod column;
 pub mod documents;
+mod network;
 mod outcome;
 pub mod page;
 mod reproduction;
 mod sets;
 mod table;
 
-pub use column::Column;
+pub use beside::Beside;
+pub use column::{Column, Measure, PsnrMean, Score};
+pub use network::Network;
 pub use outcome::{EntryOutcome, NotRun, Order, Outcome, PublishedMean, SceneOutcome, Value, Verdict};
 pub use reproduction::{Chosen, Conditions, ReproduceError, Reproduction};
-pub use sets::{DataSet, Generated};
+pub use sets::{Absence, DataSet, Generated};
 pub use table::{Scene, Table, TableEntry, TableError};

@@ -1,11 +1,12 @@
 //! Our figures beside the published ones.
 
+use crate::beside::Beside;
 use crate::column::Column;
 use crate::reproduction::{Chosen, Reproduction};
 use crate::table::{Table, TableEntry};
 use gs_train::evaluate::EvalReport;
 use gs4d_eval::spread::Spread;
-use gs4d_lab::contest::{Length, Results, Standing};
+use gs4d_lab::contest::{Length, Results, Standing, Trial};
 use serde::Serialize;
 
 /// A figure of a paper and ours.
@@ -132,12 +133,12 @@ pub struct Outcome {
 }
 
 impl Outcome {
-    pub(crate) fn of(reproduction: &Reproduction, results: &[Results]) -> Self {
+    pub(crate) fn of(reproduction: &Reproduction, results: &[Results], beside: &Beside) -> Self {
         let Reproduction { table, scenes, .. } = reproduction;
         let mut outcomes: Vec<SceneOutcome> =
-            scenes.iter().zip(results).map(|(s, r)| scene(reproduction, s, &r.standings)).collect();
+            scenes.iter().zip(results).map(|(s, r)| scene(reproduction, s, &r.standings, beside)).collect();
         if outcomes.len() > 1 {
-            outcomes.push(average(reproduction, results));
+            outcomes.push(average(reproduction, results, beside));
         }
         Self {
             table: table.full_name(),
@@ -145,12 +146,12 @@ impl Outcome {
             source: table.source.clone(),
             protocol: table.protocol.clone(),
             remark: table.remark.clone(),
-            conditions: conditions(reproduction) + &lpips(results),
+            conditions: conditions(reproduction) + &measures(table, beside),
             columns: table.columns.clone(),
             published: table.entries.iter().filter_map(|e| published_row(table, e)).collect(),
             scenes: outcomes,
-            orders: orders(reproduction, results),
-            not_run: not_run(reproduction, results),
+            orders: orders(reproduction, results, beside),
+            not_run: not_run(reproduction, results, beside),
         }
     }
 }
@@ -175,34 +176,29 @@ fn conditions(reproduction: &Reproduction) -> String {
     format!("{preset}{length}{scale}{sets}; seeds {seeds}")
 }
 
-/// Network, weights and range of LPIPS, where it was scored.
-fn lpips(results: &[Results]) -> String {
-    let trials = results.iter().flat_map(|r| &r.standings).flat_map(|s| &s.trials);
-    let weights = trials.filter_map(|t| t.scores.lpips_weights.as_deref()).next();
-    weights.map_or(String::new(), |w| format!("; LPIPS: {w}"))
+/// How PSNR and the scores beside those of training were measured.
+fn measures(table: &Table, beside: &Beside) -> String {
+    let psnr = table.columns.iter().any(|c| c.ends_with("psnr"));
+    let psnr = psnr.then(|| format!("; psnr: {}", table.psnr.words()));
+    psnr.into_iter().chain(beside.how.values().map(|how| format!("; {how}"))).collect()
 }
 
-/// The columns of the table, as they are measured on its own scenes or on generated ones.
-fn columns(reproduction: &Reproduction, generated: bool) -> Vec<Column> {
-    let columns = reproduction.table.columns.iter().filter_map(|c| Column::named(c));
-    columns.map(|c| if generated { c.on_generated() } else { c }).collect()
+/// Mean and deviation of a column over the trials that have it.
+fn spread(standing: &Standing, column: &Column, beside: &Beside) -> Option<Spread> {
+    Spread::of(&standing.trials.iter().filter_map(|t| beside.score(column, t)).collect::<Vec<_>>())
 }
 
-fn is_generated(chosen: &Chosen) -> bool {
-    matches!(chosen, Chosen::Generated(_))
-}
-
-fn scene(reproduction: &Reproduction, chosen: &Chosen, standings: &[Standing]) -> SceneOutcome {
+fn scene(reproduction: &Reproduction, chosen: &Chosen, standings: &[Standing], beside: &Beside) -> SceneOutcome {
     let table = &reproduction.table;
     let published = |entry: &TableEntry, column: usize| match chosen {
         Chosen::Published(scene, _) => table.published(scene, &entry.name, column),
         Chosen::Generated(_) => None,
     };
-    let generated = is_generated(chosen);
+    let generated = chosen.is_generated();
+    let columns = table.measured_columns(generated);
     let entries = table.runnable().zip(standings).map(|(entry, standing)| {
-        let values = columns(reproduction, generated).into_iter().enumerate();
-        let values = values.map(|(k, c)| Value { published: published(entry, k), ours: standing.spread(c.of) });
-        outcome(entry, standing, values.collect())
+        let of = |(k, c)| Value { published: published(entry, k), ours: spread(standing, c, beside) };
+        outcome(entry, standing, columns.iter().enumerate().map(of).collect())
     });
     SceneOutcome { scene: chosen.name().to_owned(), generated, entries: entries.collect() }
 }
@@ -221,28 +217,31 @@ fn outcome(entry: &TableEntry, standing: &Standing, values: Vec<Value>) -> Entry
 }
 
 /// Means over scenes of every seed that stands on all of them; their spread is that over seeds.
-fn average(reproduction: &Reproduction, results: &[Results]) -> SceneOutcome {
+fn average(reproduction: &Reproduction, results: &[Results], beside: &Beside) -> SceneOutcome {
     let table = &reproduction.table;
-    let generated = reproduction.scenes.iter().all(is_generated);
+    let generated = reproduction.scenes.iter().all(Chosen::is_generated);
+    let mixed = !generated && reproduction.scenes.iter().any(Chosen::is_generated);
+    let columns = table.measured_columns(generated);
     let entries = table.runnable().enumerate().map(|(k, entry)| {
         let standings: Vec<&Standing> = results.iter().filter_map(|r| r.standings.get(k)).collect();
         let everywhere = |seed: &&u64| standings.iter().all(|s| s.of_seed(**seed).is_some());
         let seeds: Vec<u64> = reproduction.conditions.seeds.iter().filter(everywhere).copied().collect();
-        let mean = |score: fn(&EvalReport) -> Option<f64>| {
+        let mean = |score: &dyn Fn(&Trial) -> Option<f64>| {
             let of = |seed: &u64| -> Option<f64> {
-                let values: Option<Vec<f64>> =
-                    standings.iter().map(|s| s.of_seed(*seed).and_then(|t| score(&t.scores))).collect();
+                let values: Option<Vec<f64>> = standings.iter().map(|s| score(s.of_seed(*seed)?)).collect();
                 Spread::of(&values?).map(|s| s.mean)
             };
             Spread::of(&seeds.iter().filter_map(of).collect::<Vec<_>>())
         };
-        let values = columns(reproduction, generated).into_iter().enumerate();
-        let published = |column| published_mean(reproduction, &entry.name, column);
-        let values = values.map(|(c, column)| Value { published: published(c), ours: mean(column.of) }).collect();
-        let plain = |score| mean(score).map(|s: Spread| s.mean);
+        let of = |(k, column): (usize, &Column)| Value {
+            published: published_mean(reproduction, &entry.name, k),
+            // Masked scores of some scenes and whole ones of others have no mean.
+            ours: mean(&|t| beside.score(column, t)).filter(|_| !(mixed && column.is_masked())),
+        };
+        let plain = |score: fn(&EvalReport) -> Option<f64>| mean(&|t| score(&t.scores)).map(|s| s.mean);
         EntryOutcome {
             entry: entry.name.clone(),
-            values,
+            values: columns.iter().enumerate().map(of).collect(),
             steps: None,
             perceptual_proxy: plain(|r| r.mean.perceptual_proxy),
             megabytes: plain(|r| Some(r.parameter_bytes as f64 * 1e-6)),
@@ -268,24 +267,31 @@ fn published_mean(reproduction: &Reproduction, entry: &str, column: usize) -> Op
     printed.or_else(|| Spread::of(&rows?).map(|s| s.mean))
 }
 
-fn orders(reproduction: &Reproduction, results: &[Results]) -> Vec<Order> {
+fn orders(reproduction: &Reproduction, results: &[Results], beside: &Beside) -> Vec<Order> {
     let table = &reproduction.table;
     let names: Vec<&TableEntry> = table.runnable().collect();
-    let generated = reproduction.scenes.iter().all(is_generated);
-    let (Some(first), Some(column)) = (names.first(), columns(reproduction, generated).into_iter().next()) else {
+    let generated = reproduction.scenes.iter().all(Chosen::is_generated);
+    let columns = table.measured_columns(generated);
+    let (Some(first), Some(column)) = (names.first(), columns.first()) else {
         return Vec::new();
     };
     let printed = |entry: &str| table.published_average(entry, 0);
     let order = |(k, other): (usize, &&TableEntry)| {
         let published = printed(&first.name).zip(printed(&other.name)).map(|(a, b)| a - b);
         let pairs = |r: &Results| match (r.standings.first(), r.standings.get(k)) {
-            (Some(first), Some(other)) => first.less(other, column.of),
+            (Some(first), Some(other)) => less(first, other, column, beside),
             _ => Vec::new(),
         };
         let scenes: Vec<Vec<f64>> = results.iter().map(pairs).collect();
         Order::of(other.name.clone(), published, &scenes)
     };
     names.iter().enumerate().skip(1).map(order).collect()
+}
+
+/// A column less that of another entry with the same seed, for every seed of which both have it.
+fn less(first: &Standing, other: &Standing, column: &Column, beside: &Beside) -> Vec<f64> {
+    let pair = |t: &Trial| Some(beside.score(column, t)? - beside.score(column, other.of_seed(t.seed)?)?);
+    first.trials.iter().filter_map(pair).collect()
 }
 
 impl Order {
@@ -327,42 +333,54 @@ fn student_975(freedom: usize) -> f64 {
     SMALL.get(freedom.saturating_sub(1)).copied().unwrap_or_else(beyond)
 }
 
-fn not_run(reproduction: &Reproduction, results: &[Results]) -> Vec<NotRun> {
+fn not_run(reproduction: &Reproduction, results: &[Results], beside: &Beside) -> Vec<NotRun> {
     let Reproduction { table, set, absent, .. } = reproduction;
     let row = |what: &str, why: String| NotRun { what: what.to_owned(), why };
-    let scenes = absent.iter().map(|s| row(s, format!("not below --data; from {}; {}", set.from, set.layout)));
+    let scenes = absent.iter().map(|(s, absence)| row(s, format!("{absence}; from {}; {}", set.from, set.layout)));
     let entries = table.entries.iter().filter(|e| e.run.is_none());
     let entries = entries.map(|e| row(&e.name, "no method of gs4d".to_owned()));
-    let some_generated = reproduction.scenes.iter().any(is_generated);
-    let measured = |column: &str| {
-        let Some(column) = Column::named(column) else { return false };
-        let column = if some_generated { column.on_generated() } else { column };
-        let trials = results.iter().flat_map(|r| &r.standings).flat_map(|s| &s.trials);
-        trials.into_iter().any(|t| (column.of)(&t.scores).is_some())
-    };
-    let masked = table.columns.iter().any(|c| Column::named(c).is_some_and(|c| c.is_masked()));
+    let some_generated = reproduction.scenes.iter().any(Chosen::is_generated);
+    let masked = table.measured_columns(false).iter().any(Column::is_masked);
     let why = "generated scenes have none: masked columns are of all pixels there";
     let masks = (masked && some_generated).then(|| row("masks", why.to_owned()));
-    let columns = table.columns.iter().filter(|c| !measured(c)).filter_map(|column| {
-        let why = match column.as_str() {
-            "lpips" | "masked_lpips" | "future_lpips" => {
-                "needs weights that gs4d does not have (--lpips FILE); the perceptual proxy stands beside"
-            }
-            "tof" => "measured by gs4d eval --pred --gt --metrics tof on rendered frames",
-            _ => return None,
-        };
-        Some(row(column, why.to_owned()))
-    });
     let trials = results.iter().zip(&reproduction.scenes);
     let trials = trials.flat_map(|(r, s)| {
         r.missing.iter().map(move |m| row(&format!("{} / {}", s.name(), m.trial), m.source.to_string()))
     });
+    let columns = not_measured(reproduction, results, beside);
     scenes.chain(entries).chain(masks).chain(columns).chain(trials).collect()
+}
+
+/// The columns of LPIPS and tOF without a score, and why; where some scenes have one, the scenes without.
+fn not_measured(reproduction: &Reproduction, results: &[Results], beside: &Beside) -> Vec<NotRun> {
+    let table = &reproduction.table;
+    let trials = || results.iter().flat_map(|r| &r.standings).flat_map(|s| &s.trials);
+    let mut rows = Vec::new();
+    for column in table.measured_columns(false).iter().filter(|c| c.is_beside()) {
+        let mut left_out = beside.left_out.iter().filter(|l| l.column == column.name);
+        if trials().any(|t| beside.score(column, t).is_some()) {
+            rows.extend(left_out.map(|l| NotRun { what: format!("{} / {}", l.scene, l.column), why: l.why.clone() }));
+            continue;
+        }
+        let network = table.networks.get(column.name).filter(|_| !beside.how.contains_key(column.name));
+        let why = match (left_out.next(), network) {
+            (Some(first), _) => first.why.clone(),
+            (None, Some(network)) => format!(
+                "needs weights of the network {} that gs4d does not have (--lpips FILE); the perceptual proxy stands beside",
+                network.net_name()
+            ),
+            (None, None) if column.is_masked() => "no test view has a mask".to_owned(),
+            (None, None) => "no run has it".to_owned(),
+        };
+        rows.push(NotRun { what: column.name.to_owned(), why });
+    }
+    rows
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::column::PsnrMean;
 
     #[test]
     fn the_order_needs_an_interval_on_one_side() {
@@ -373,6 +391,18 @@ mod tests {
         assert_eq!(of(Some(0.8), &[0.5, 0.6]), Some(Verdict::NotShown), "two pairs");
         assert_eq!(of(None, &[0.5, 0.6, 0.7]), None);
         assert_eq!(of(Some(0.8), &[]), None);
+    }
+
+    #[test]
+    fn conditions_say_how_columns_were_measured() {
+        let mut table = Table::find("fags", "dnerf").unwrap();
+        let mut beside = Beside::default();
+        beside.how.insert("lpips", "lpips: vgg 1a2b3c4d".to_owned());
+        assert_eq!(measures(&table, &beside), "; psnr: the mean of the images' PSNR; lpips: vgg 1a2b3c4d");
+        table.psnr = PsnrMean::MeanError;
+        assert!(measures(&table, &Beside::default()).ends_with("the PSNR of the images' mean squared error"));
+        table.columns = vec!["ssim".into()];
+        assert_eq!(measures(&table, &Beside::default()), "");
     }
 
     #[test]

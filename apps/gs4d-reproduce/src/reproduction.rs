@@ -1,16 +1,13 @@
 //! A table under the conditions of a machine: which scenes are there, and the contest of each.
 
+use crate::beside::Beside;
 use crate::outcome::Outcome;
-use crate::sets::{DataSet, Generated};
+use crate::sets::{Absence, DataSet, Generated};
 use crate::table::{Scene, Table, TableEntry, TableError};
 use gs_data::DataError;
-use gs_metrics::Lpips;
 use gs_train::registry::Registry;
 use gs4d_lab::contest::{Contest, Entry, Length, Results};
-use gs4d_run::opened::metrics_json;
-use gs4d_run::{OpenRun, RunError};
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::path::PathBuf;
 
 /// How a table is run.
 #[derive(Clone, Debug)]
@@ -52,6 +49,11 @@ impl Chosen {
             Self::Generated(generated) => &generated.name,
         }
     }
+
+    /// Whether it stands in for the paper's.
+    pub(crate) fn is_generated(&self) -> bool {
+        matches!(self, Self::Generated(_))
+    }
 }
 
 /// A table and the scenes it is run on.
@@ -65,8 +67,8 @@ pub struct Reproduction {
     pub conditions: Conditions,
     /// The scenes that are run.
     pub scenes: Vec<Chosen>,
-    /// The scenes of the paper that are not there.
-    pub absent: Vec<String>,
+    /// The scenes of the paper that are not there, and what is in their place.
+    pub absent: Vec<(String, Absence)>,
 }
 
 /// Why a table cannot be run.
@@ -95,10 +97,12 @@ pub enum ReproduceError {
         known: String,
     },
     /// A scene was asked for that is not there.
-    #[error("the scene {name} is in none of the folders of --data; it comes from {from} and is {layout}")]
+    #[error("the scene {name} is not there: {absence}; it comes from {from} and is {layout}")]
     AbsentScene {
         /// The name asked for.
         name: String,
+        /// What is in its place.
+        absence: Box<Absence>,
         /// Where it comes from.
         from: String,
         /// Its files.
@@ -120,29 +124,19 @@ impl Reproduction {
             return Err(ReproduceError::Command(table.command.unwrap_or_default()));
         };
         let set = DataSet::find(data)?;
-        let there = |s: &Scene| Some(Chosen::Published(s.clone(), set.folder(s, &conditions.data)?));
-        let here: Vec<Chosen> = table.scenes.iter().filter_map(there).collect();
-        let is_absent = |s: &&Scene| !here.iter().any(|h| h.name() == s.name);
-        let absent: Vec<String> = table.scenes.iter().filter(is_absent).map(|s| s.name.clone()).collect();
+        let (mut here, mut absent) = (Vec::new(), Vec::new());
+        for scene in &table.scenes {
+            match set.folder(scene, &conditions.data) {
+                Ok(folder) => here.push(Chosen::Published(scene.clone(), folder)),
+                Err(absence) => absent.push((scene.name.clone(), absence)),
+            }
+        }
         let generated = || set.generated.iter().cloned().map(Chosen::Generated);
         let scenes = if conditions.scenes.is_empty() {
             if here.is_empty() { generated().collect() } else { here }
         } else {
             let all: Vec<Chosen> = here.into_iter().chain(generated()).collect();
-            let chosen = |name: &String| match all.iter().find(|c| c.name() == name) {
-                Some(scene) => Ok(scene.clone()),
-                None if absent.contains(name) => Err(ReproduceError::AbsentScene {
-                    name: name.clone(),
-                    from: set.from.clone(),
-                    layout: set.layout.clone(),
-                }),
-                None => {
-                    let known = absent.iter().map(String::as_str).chain(all.iter().map(Chosen::name));
-                    let known = known.collect::<Vec<_>>().join(", ");
-                    Err(ReproduceError::UnknownScene { name: name.clone(), known })
-                }
-            };
-            conditions.scenes.iter().map(chosen).collect::<Result<_, _>>()?
+            conditions.scenes.iter().map(|name| chosen(name, &all, &absent, &set)).collect::<Result<_, _>>()?
         };
         Ok(Self { table, set, conditions, scenes, absent })
     }
@@ -202,33 +196,23 @@ impl Reproduction {
         self.table.runnable().map(|e| e.contest_entry(&preset(e), &own(e)).map_err(wrong)).collect()
     }
 
-    /// Scores the trials once more with LPIPS, unless they have it by these weights, and keeps the scores in their folders.
-    ///
-    /// # Errors
-    /// If a run or its data cannot be read, an image is too small, or scores cannot be kept.
-    pub fn score_lpips(
-        results: &mut [Results],
-        registry: &Registry,
-        lpips: &Arc<Lpips>,
-        on_trial: &mut dyn FnMut(&Path),
-    ) -> Result<(), RunError> {
-        let weights = lpips.weights();
-        let trials = results.iter_mut().flat_map(|r| &mut r.standings).flat_map(|s| &mut s.trials);
-        for trial in trials.filter(|t| t.scores.lpips_weights.as_ref() != Some(&weights)) {
-            on_trial(&trial.run);
-            let mut run = OpenRun::open(registry, &trial.run)?;
-            run.lpips = Some(lpips.clone());
-            let dataset = run.open_data()?;
-            trial.scores = run.score_for_folder(&dataset)?;
-            run.folder()?.write_scores(metrics_json(&trial.scores, run.loaded.step), &dataset)?;
-        }
-        Ok(())
+    /// Our figures beside the published ones, from the results of [`Self::contests`] and the scores beside them.
+    pub fn outcome(&self, results: &[Results], beside: &Beside) -> Outcome {
+        Outcome::of(self, results, beside)
     }
+}
 
-    /// Our figures beside the published ones, from the results of [`Self::contests`].
-    pub fn outcome(&self, results: &[Results]) -> Outcome {
-        Outcome::of(self, results)
+/// The scene of this name.
+fn chosen(name: &str, all: &[Chosen], absent: &[(String, Absence)], set: &DataSet) -> Result<Chosen, ReproduceError> {
+    if let Some(scene) = all.iter().find(|c| c.name() == name) {
+        return Ok(scene.clone());
     }
+    if let Some((name, absence)) = absent.iter().find(|(absent, _)| absent == name) {
+        let (name, from, layout) = (name.clone(), set.from.clone(), set.layout.clone());
+        return Err(ReproduceError::AbsentScene { name, absence: Box::new(absence.clone()), from, layout });
+    }
+    let known = absent.iter().map(|(name, _)| name.as_str()).chain(all.iter().map(Chosen::name));
+    Err(ReproduceError::UnknownScene { name: name.to_owned(), known: known.collect::<Vec<_>>().join(", ") })
 }
 
 /// Keeps the named entries, all if none is named.
@@ -262,6 +246,11 @@ mod tests {
         }
     }
 
+    /// A folder that the reader of a set takes for a scene, and that no reader can open.
+    fn folder(root: &std::path::Path, name: &str, set: &str) {
+        crate::sets::tests::look_like(&root.join("captures").join(name), set);
+    }
+
     #[test]
     fn scenes_that_are_there_are_run_and_generated_ones_where_none_is() {
         let root = tempfile::tempdir().unwrap();
@@ -270,7 +259,7 @@ mod tests {
         assert_eq!((without.scenes.len(), without.absent.len()), (9, 7));
         assert!(without.scenes.iter().all(|s| matches!(s, Chosen::Generated(_))));
 
-        std::fs::create_dir_all(root.path().join("captures/hook")).unwrap();
+        folder(root.path(), "hook", "dnerf");
         let with = Reproduction::new(table(), conditions(root.path())).unwrap();
         assert_eq!((with.scenes[0].name(), with.scenes.len(), with.absent.len()), ("hook", 1, 6));
         let contests = with.contests(gs_methods::registry()).unwrap();
@@ -289,7 +278,10 @@ mod tests {
         };
         assert_eq!(of("waves-b").unwrap().scenes[0].name(), "waves-b");
         let absent = of("trex").unwrap_err().to_string();
-        assert!(absent.contains("github.com/albertpumarola/D-NeRF"), "{absent}");
+        assert!(absent.contains("not below --data") && absent.contains("github.com/albertpumarola/D-NeRF"), "{absent}");
+        std::fs::create_dir_all(root.path().join("captures/trex")).unwrap();
+        let empty = of("trex").unwrap_err().to_string();
+        assert!(empty.contains("captures/trex holds no data set of the layout blender"), "{empty}");
         let entries = |name: &str| {
             let entries = vec![name.to_owned()];
             Reproduction::new(Table::find("fags", "dnerf").unwrap(), Conditions { entries, ..conditions(root.path()) })
@@ -309,7 +301,7 @@ mod tests {
         let labels = table.entries(&table.scenes[0]).unwrap().into_iter().map(|e| e.label).collect::<Vec<_>>();
         assert_eq!(labels, ["fags:neu3d", "grid4d:neu3d", "fourdgs:paper"]);
 
-        std::fs::create_dir_all(root.path().join("captures/broom")).unwrap();
+        folder(root.path(), "broom", "hypernerf");
         let labels = |preset: Option<&str>, length: Length| -> Vec<String> {
             let own = Conditions { preset: preset.map(str::to_owned), length, ..conditions(root.path()) };
             let table = Reproduction::new(Table::find("fags", "hypernerf-vrig").unwrap(), own).unwrap();
@@ -332,7 +324,7 @@ mod tests {
     #[test]
     fn a_scene_has_settings_of_its_own_for_one_entry() {
         let root = tempfile::tempdir().unwrap();
-        std::fs::create_dir_all(root.path().join("captures/skating")).unwrap();
+        folder(root.path(), "skating", "nvfi-real");
         let table = Reproduction::new(Table::find("trace", "real").unwrap(), conditions(root.path())).unwrap();
         let contest = table.contests(gs_methods::registry()).unwrap().remove(0);
         assert_eq!(contest.entries[0].label, "trace:tiny physics.start=0.35");

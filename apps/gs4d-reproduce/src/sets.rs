@@ -18,7 +18,9 @@ pub struct DataSet {
     pub from: String,
     /// Its licence, as far as it is stated.
     pub licence: String,
-    /// The files of a scene.
+    /// Name of the reader of its scenes in [`gs_data::LAYOUTS`].
+    pub reader: String,
+    /// The files of a scene, as that reader reads them.
     pub layout: String,
     /// Names of folders that hold its scenes.
     pub folders: Vec<String>,
@@ -69,15 +71,51 @@ impl DataSet {
         Self::all()?.remove(name).ok_or_else(absent)
     }
 
-    /// The folder of a scene below one of `roots`: `FOLDER/NAME` for the folders of this set, or `NAME`.
-    pub fn folder(&self, scene: &Scene, roots: &[PathBuf]) -> Option<PathBuf> {
+    /// The folder of a scene below one of `roots`: `FOLDER/NAME` for the folders of this set, or `NAME`, in which the set's reader
+    /// finds a data set. Only file names are looked at, and of JSON files the keys that decide.
+    ///
+    /// # Errors
+    /// What is there instead.
+    pub fn folder(&self, scene: &Scene, roots: &[PathBuf]) -> Result<PathBuf, Absence> {
         let names = || std::iter::once(&scene.name).chain(&scene.also);
         let under = |root: &PathBuf| -> Vec<PathBuf> {
             let inner = self.folders.iter().map(|f| root.join(f)).chain([root.clone()]);
             inner.flat_map(|base| names().map(move |n| base.join(n))).collect()
         };
-        roots.iter().flat_map(under).find(|path| path.is_dir())
+        let mut absence = Absence::NotThere;
+        for folder in roots.iter().flat_map(under).filter(|path| path.is_dir()) {
+            let found = gs_data::detect(&folder).map(|layout| layout.name);
+            if found == Some(self.reader.as_str()) {
+                return Ok(folder);
+            }
+            if absence == Absence::NotThere {
+                absence = Absence::Other { folder, reader: self.reader.clone(), found };
+            }
+        }
+        Err(absence)
     }
+}
+
+/// What is in the place of a scene that is not there.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Absence {
+    /// No folder of its name.
+    #[error("not below --data")]
+    NotThere,
+    /// A folder of its name that its reader does not read.
+    #[error(
+        "{} holds no data set of the layout {reader}{}",
+        folder.display(),
+        found.map_or(String::new(), |found| format!(", but one of {found}"))
+    )]
+    Other {
+        /// The folder.
+        folder: PathBuf,
+        /// The layout that was looked for.
+        reader: String,
+        /// The layout that it has, if any.
+        found: Option<&'static str>,
+    },
 }
 
 impl Generated {
@@ -104,10 +142,48 @@ impl Generated {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::Table;
     use std::collections::BTreeSet;
+    use std::fs;
+
+    /// Files by which the reader of a set knows a scene, and what the hint calls them.
+    fn files(set: &str) -> &'static [(&'static str, &'static str)] {
+        match set {
+            "dnerf" => &[("transforms_train.json", "transforms_{train,val,test}.json")],
+            "hypernerf" | "iphone" => &[
+                ("dataset.json", "{scene,metadata,dataset}.json"),
+                ("metadata.json", "{scene,metadata,dataset}.json"),
+                ("camera/0.json", "camera/ID.json"),
+                ("rgb/2x/0.png", "rgb/2x/ID.png"),
+            ],
+            "nvidia" => &[
+                ("dense/sparse/cameras.bin", "dense/sparse/{cameras,images,points3D}.bin"),
+                ("dense/sparse/images.bin", "dense/sparse/{cameras,images,points3D}.bin"),
+                ("dense/images/0.jpg", "dense/images/"),
+            ],
+            "neu3d" => &[("poses_bounds.npy", "poses_bounds.npy"), ("cam00/images/0000.png", "camNN/images/0000.png")],
+            "panoptic" => &[("train_meta.json", "{train,test}_meta.json"), ("ims/0/0.jpg", "ims/CAMERA/FRAME.jpg")],
+            "nvfi-object" | "nvfi-indoor" | "nvfi-real" | "multipart" => &[
+                ("transforms_train.json", "transforms_{train,val,test}.json"),
+                ("transforms_test.json", "transforms_{train,val,test}.json"),
+            ],
+            other => panic!("no files of {other}"),
+        }
+    }
+
+    /// Makes a folder that the reader of a set takes for a scene.
+    pub(crate) fn look_like(folder: &Path, set: &str) {
+        for (name, _) in files(set) {
+            let file = folder.join(name);
+            fs::create_dir_all(file.parent().unwrap()).unwrap();
+            let time = if name.contains("test") { 0.9 } else { 0.5 };
+            let text =
+                format!("{{\"frames\": [{{\"file_path\": \"a\", \"transform_matrix\": [], \"time\": {time}}}]}}");
+            fs::write(file, text).unwrap();
+        }
+    }
 
     #[test]
     fn every_set_has_three_generated_scenes_a_family_and_no_seed_serves_twice() {
@@ -127,17 +203,45 @@ mod tests {
         }
     }
 
+    /// What a user is told to lay out is what the set's reader knows the folder by.
+    #[test]
+    fn every_hint_is_what_its_reader_reads() {
+        for (name, set) in DataSet::all().unwrap() {
+            let root = tempfile::tempdir().unwrap();
+            look_like(root.path(), &name);
+            assert_eq!(gs_data::detect(root.path()).map(|l| l.name), Some(set.reader.as_str()), "{name}");
+            for (_, called) in files(&name) {
+                assert!(set.layout.contains(called), "{name}: {called} is not in {}", set.layout);
+            }
+        }
+    }
+
     #[test]
     fn a_scene_is_found_by_its_names_in_the_folders_of_its_set() {
         let (root, set) = (tempfile::tempdir().unwrap(), DataSet::find("dnerf").unwrap());
         let table = Table::find("fags", "dnerf").unwrap();
         let mutant = table.scenes.iter().find(|s| s.name == "mutant").unwrap();
         let roots = [root.path().to_owned()];
-        assert_eq!(set.folder(mutant, &roots), None);
+        assert_eq!(set.folder(mutant, &roots), Err(Absence::NotThere));
         for place in ["dnerf_mutant_400", "data/mutant"] {
-            std::fs::create_dir_all(root.path().join(place)).unwrap();
-            assert_eq!(set.folder(mutant, &roots), Some(root.path().join(place)), "the folder of the set goes first");
+            look_like(&root.path().join(place), "dnerf");
+            assert_eq!(set.folder(mutant, &roots), Ok(root.path().join(place)), "the folder of the set goes first");
         }
+    }
+
+    #[test]
+    fn a_folder_without_the_files_of_its_reader_is_no_scene() {
+        let (root, set) = (tempfile::tempdir().unwrap(), DataSet::find("dnerf").unwrap());
+        let table = Table::find("fags", "dnerf").unwrap();
+        let hook = table.scenes.iter().find(|s| s.name == "hook").unwrap();
+        let roots = [root.path().to_owned()];
+        let why = || set.folder(hook, &roots).unwrap_err().to_string();
+        fs::create_dir_all(root.path().join("data/hook")).unwrap();
+        assert!(why().ends_with("data/hook holds no data set of the layout blender"), "{}", why());
+        look_like(&root.path().join("data/hook"), "panoptic");
+        assert!(why().ends_with("of the layout blender, but one of panoptic"), "{}", why());
+        look_like(&root.path().join("hook"), "dnerf");
+        assert_eq!(set.folder(hook, &roots), Ok(root.path().join("hook")), "the next place counts");
     }
 
     #[test]

@@ -1,6 +1,8 @@
 //! A table of a paper: what is trained on what, and the published figures.
 
-use crate::column::Column;
+use crate::column::{Column, PsnrMean};
+use crate::network::Network;
+use gs_metrics::LpipsRange;
 use gs4d_lab::contest::Entry;
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -58,6 +60,12 @@ pub struct Table {
     pub sets: Vec<String>,
     /// Names of the columns; the first decides the order of methods.
     pub columns: Vec<String>,
+    /// Network and range of each column of LPIPS.
+    #[serde(default)]
+    pub networks: BTreeMap<String, Network>,
+    /// Which mean over images the paper's PSNR is.
+    #[serde(default)]
+    pub psnr: PsnrMean,
     /// What a reader must know of the published figures.
     #[serde(default)]
     pub remark: Option<String>,
@@ -194,10 +202,35 @@ impl Table {
         if let Some(entry) = of_scenes.chain(self.entries.iter().flat_map(|e| &e.recipe_of)).find(|e| !known(e)) {
             return Err(format!("settings of {entry} belong to no entry"));
         }
-        match self.columns.iter().find(|c| self.data.is_some() && Column::named(c).is_none()) {
-            Some(column) => Err(format!("no contest has the column {column}")),
-            None => Ok(()),
+        self.check_columns()
+    }
+
+    /// Whether columns are known, those of LPIPS and no others have a network, and PSNR has a mean that is measured.
+    fn check_columns(&self) -> Result<(), String> {
+        if let Some(column) = self.networks.keys().find(|c| !self.columns.contains(c)) {
+            return Err(format!("the network of {column} belongs to no column"));
         }
+        for name in self.columns.iter().filter(|_| self.data.is_some()) {
+            let column = Column::named(name).ok_or_else(|| format!("no contest has the column {name}"))?;
+            match self.networks.get(name) {
+                None if column.is_lpips() => return Err(format!("the column {name} names no network")),
+                Some(_) if !column.is_lpips() => return Err(format!("the column {name} takes no network")),
+                Some(network) if column.is_masked() && network.range != LpipsRange::Signed => {
+                    return Err(format!("{name} is measured in -1..1 alone, not with {network}"));
+                }
+                _ => {}
+            }
+            if column.is_masked() && self.psnr == PsnrMean::MeanError {
+                return Err(format!("{name} has no PSNR of the mean error"));
+            }
+        }
+        Ok(())
+    }
+
+    /// The columns that contests measure, on the table's own scenes or on generated ones.
+    pub(crate) fn measured_columns(&self, generated: bool) -> Vec<Column> {
+        let columns = self.columns.iter().filter_map(|c| Column::named(c)).map(|c| c.with_mean(self.psnr));
+        columns.map(|c| if generated { c.on_generated() } else { c }).collect()
     }
 
     /// The published figure of an entry on a scene in a column.
@@ -319,6 +352,57 @@ mod tests {
             }
         }
         assert!(checked > 40, "{checked}");
+    }
+
+    /// TRACE's published row on Dynamic Object is of another step than its other rows (supplement, table 9).
+    #[test]
+    fn rows_of_trace_have_the_step_that_is_run() {
+        let step = |table: &Table, entry: &str| {
+            let run = table.entries.iter().find(|e| e.name == entry).and_then(|e| e.run.clone()).unwrap_or_default();
+            run.split_once("physics.step_frames=").map_or(2.0, |(_, frames)| frames.parse().unwrap())
+        };
+        let ablation = |set: &str| Table::find("trace", &format!("ablation-{set}")).unwrap();
+        let rows = [("object", "TRACE"), ("object", "TRACE 2 frames"), ("indoor", "TRACE"), ("multipart", "TRACE")];
+        for (set, entry) in rows {
+            let table = Table::find("trace", set).unwrap();
+            let by_step = if step(&table, entry) == 1.0 { "1 frame" } else { "2 frames, order 2" };
+            for (column, of) in [("future_psnr", 0), ("psnr", 1)] {
+                let k = table.columns.iter().position(|c| c == column).unwrap();
+                let printed = table.published_average(entry, k);
+                assert!(printed.is_some(), "{set} {entry}");
+                assert_eq!(printed, ablation(set).published_average(by_step, of), "{set} {entry} {column}");
+            }
+        }
+    }
+
+    /// The table of these lines, with a data set, an entry and a scene.
+    fn parsed(lines: &str) -> Result<Table, TableError> {
+        let rest = "title = \"t\"\nsource = \"s\"\ndata = \"iphone\"\nprotocol = \"p\"\n";
+        Table::parse("p-t", &format!("{rest}{lines}\n[[entries]]\nname = \"a\"\nrun = \"modec\"\n"))
+    }
+
+    #[test]
+    fn every_column_of_lpips_names_its_network() {
+        let refused = |lines: &str, words: &str| {
+            let error = parsed(lines).unwrap_err().to_string();
+            assert!(error.contains(words), "{error}");
+        };
+        let two = "columns = [\"lpips\", \"masked_lpips\"]";
+        let table = parsed(&format!("{two}\nnetworks = {{ lpips = \"vgg 0..1\", masked_lpips = \"alex -1..1\" }}"));
+        assert_eq!(table.unwrap().networks["masked_lpips"].to_string(), "alex -1..1");
+        refused(&format!("{two}\nnetworks = {{ lpips = \"vgg 0..1\" }}"), "masked_lpips names no network");
+        refused("columns = [\"psnr\"]\nnetworks = { psnr = \"vgg 0..1\" }", "psnr takes no network");
+        refused("columns = [\"psnr\"]\nnetworks = { lpips = \"vgg 0..1\" }", "belongs to no column");
+        refused("columns = [\"lpips\"]\nnetworks = { lpips = \"squeeze 0..1\" }", "`squeeze 0..1`");
+        refused("columns = [\"masked_lpips\"]\nnetworks = { masked_lpips = \"alex 0..1\" }", "-1..1 alone");
+    }
+
+    #[test]
+    fn a_table_may_name_the_other_mean_of_psnr() {
+        assert_eq!(parsed("columns = [\"psnr\"]").unwrap().psnr, PsnrMean::Images);
+        assert_eq!(parsed("columns = [\"psnr\"]\npsnr = \"mean_error\"").unwrap().psnr, PsnrMean::MeanError);
+        let error = parsed("columns = [\"masked_psnr\"]\npsnr = \"mean_error\"").unwrap_err().to_string();
+        assert!(error.contains("masked_psnr has no PSNR of the mean error"), "{error}");
     }
 
     #[test]

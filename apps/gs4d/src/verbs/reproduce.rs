@@ -11,10 +11,10 @@ use gs_core::io::write_file;
 use gs4d_eval::folders::Lpips;
 use gs4d_lab::aligned;
 use gs4d_lab::contest::{Length, Results};
-use gs4d_reproduce::{Conditions, DataSet, ReproduceError, Reproduction, Table, TableError, documents, page};
+use gs4d_reproduce::documents::Listed;
+use gs4d_reproduce::{Beside, Conditions, DataSet, ReproduceError, Reproduction, Table, TableError, documents, page};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::Duration;
 
 /// Run a table of one of the papers, published figures beside; without a table, list them
@@ -52,12 +52,10 @@ pub struct ReproduceVerb {
     /// A setting of all trials (repeatable).
     #[arg(long = "set", value_name = "KEY=VALUE")]
     sets: Vec<String>,
-    /// Adds LPIPS with the weights of this safetensors file (see gs4d eval).
+    /// Adds columns of LPIPS with the weights of this safetensors file (see gs4d eval); repeatable, one for each network. The table says which network
+    /// and which range of colours a column has.
     #[arg(long, value_name = "FILE")]
-    lpips: Option<PathBuf>,
-    /// What LPIPS makes of colours: unit as in the papers' codes, or signed as the network was trained.
-    #[arg(long, value_enum, default_value_t = RangeName::Unit, requires = "lpips")]
-    lpips_range: RangeName,
+    lpips: Vec<PathBuf>,
     /// Folder of generated scenes, trials and results; finished trials in it are not trained again.
     #[arg(short, long, value_name = "DIR", requires = "table")]
     out: Option<PathBuf>,
@@ -94,18 +92,28 @@ impl ReproduceVerb {
             sets: self.sets,
             root,
         };
-        let range = self.lpips_range;
-        let lpips = self.lpips.as_deref().map(|file| read_lpips(file, range)).transpose()?.map(Arc::new);
-        reproduce(&Reproduction::new(table, conditions).map_err(failure)?, lpips.as_ref(), &self.jobs, global)
+        let weights = weights(&self.lpips)?;
+        reproduce(&Reproduction::new(table, conditions).map_err(failure)?, &weights, &self.jobs, global)
     }
 }
 
-fn reproduce(
-    reproduction: &Reproduction,
-    lpips: Option<&Arc<Lpips>>,
-    jobs: &Jobs,
-    global: &Global,
-) -> Result<Answer, Failure> {
+/// Weights of LPIPS, of each network once.
+fn weights(files: &[PathBuf]) -> Result<Vec<Lpips>, Failure> {
+    let mut all: Vec<Lpips> = Vec::new();
+    for file in files {
+        // The range is that of the column.
+        let lpips = read_lpips(file, RangeName::Signed)?;
+        if all.iter().any(|known| known.net() == lpips.net()) {
+            return Err(Failure::usage("two files of --lpips are of the same network")
+                .place(file.display())
+                .remedy("give one file for each network"));
+        }
+        all.push(lpips);
+    }
+    Ok(all)
+}
+
+fn reproduce(reproduction: &Reproduction, weights: &[Lpips], jobs: &Jobs, global: &Global) -> Result<Answer, Failure> {
     let root = &reproduction.conditions.root;
     create_folder(&root.join("data"))?;
     reproduction.prepare().map_err(gs4d_run::RunError::from)?;
@@ -114,13 +122,11 @@ fn reproduce(
         return Ok(list);
     }
     jobs.check_results(root, &FILES)?;
-    let mut results: Vec<Results> = contests.iter().map(|c| jobs.results(c, global)).collect::<Result<_, _>>()?;
-    if let Some(lpips) = lpips {
-        let mut say = |run: &Path| global.say(format!("LPIPS of {}", run.display()));
-        Reproduction::score_lpips(&mut results, gs_methods::registry(), lpips, &mut say)?;
-    }
+    let results: Vec<Results> = contests.iter().map(|c| jobs.results(c, global)).collect::<Result<_, _>>()?;
+    let mut say = |run: &Path| global.say(format!("LPIPS and tOF of {}", run.display()));
+    let beside = Beside::measure(reproduction, &results, gs_methods::registry(), weights, &mut say)?;
     let none_stands = results.iter().all(Results::none_stands);
-    let outcome = reproduction.outcome(&results);
+    let outcome = reproduction.outcome(&results, &beside);
     let missing: Vec<_> = results.into_iter().flat_map(|r| r.missing).collect();
     let json = with_missing(json!(outcome), &missing);
     let mut text = String::new();
@@ -144,7 +150,7 @@ fn list(paper: Option<&str>, roots: &[PathBuf]) -> Result<Answer, Failure> {
     let (mut rows, mut values) = (Vec::new(), Vec::new());
     for table in all.iter().filter(|t| paper.is_none_or(|p| t.paper == p)) {
         let set = table.data.as_ref().and_then(|d| sets.get(d));
-        let here = set.map_or(0, |set| table.scenes.iter().filter(|s| set.folder(s, roots).is_some()).count());
+        let here = set.map_or(0, |set| table.scenes.iter().filter(|s| set.folder(s, roots).is_ok()).count());
         let scenes = match set {
             Some(_) => format!("{here} of {}", table.scenes.len()),
             None => table.command.clone().unwrap_or_default(),
@@ -167,9 +173,10 @@ fn shown(table: &Table, roots: &[PathBuf]) -> Result<Answer, Failure> {
     if let Some(set) = &set {
         text.push_str(&format!("\n{}\nfrom {}; licence: {}\n{}\n", set.title, set.from, set.licence, set.layout));
         for scene in &table.scenes {
-            let folder = set.folder(scene, roots).map(|f| f.display().to_string());
-            text.push_str(&format!("{:18} {}\n", scene.name, folder.as_deref().unwrap_or("not below --data")));
-            scenes.push(json!({"scene": scene.name, "folder": folder}));
+            let folder = set.folder(scene, roots).map(|f| f.display().to_string()).map_err(|e| e.to_string());
+            let (Ok(said) | Err(said)) = &folder;
+            text.push_str(&format!("{:18} {said}\n", scene.name));
+            scenes.push(json!({"scene": scene.name, "folder": folder.as_ref().ok(), "absent": folder.as_ref().err()}));
         }
         let names: Vec<&str> = set.generated.iter().map(|g| g.name.as_str()).collect();
         text.push_str(&format!("generated scenes that stand in: {}\n", names.join(", ")));
@@ -186,10 +193,11 @@ fn check(root: &Path, global: &Global) -> Result<Answer, Failure> {
     })?;
     let number = checked.findings.len();
     let mut text: String = checked.findings.iter().map(|f| format!("{f}\n")).collect();
-    let unknown = checked.tables.iter().filter(|(listed, _)| listed.commit.is_none()).count();
+    let old = checked.tables.iter().filter(|(listed, _)| !listed.older_than.is_empty());
+    old.clone().for_each(|(listed, _)| text.push_str(&known_old(listed)));
+    let (tables, old) = (checked.tables.len(), old.count());
     text.push_str(&format!(
-        "{} tables of figures, {unknown} of them without a commit; {number} findings\n",
-        checked.tables.len()
+        "{tables} tables of figures, {old} of them older than a preset as their documents say; {number} findings\n"
     ));
     let answer = Answer::new(text, json!(checked));
     if number == 0 {
@@ -197,8 +205,15 @@ fn check(root: &Path, global: &Global) -> Result<Answer, Failure> {
     }
     answer.print(global.json)?;
     Err(Failure::new(Class::Verification, "documents", format!("tables of figures with findings: {number}")).remedy(
-        "measure the table again and keep the preset (gs4d config METHOD --preset PRESET > docs/presets/METHOD-PRESET.toml), or delete it",
+        "measure the table again and keep the preset (gs4d config METHOD --preset PRESET > docs/presets/METHOD-PRESET.toml), delete it, or complete \
+         its entry in docs/tables.toml",
     ))
+}
+
+/// A table that its document says to be older than a preset.
+fn known_old(listed: &Listed) -> String {
+    let Listed { file, head, commit, older_than, .. } = listed;
+    format!("{file}: {head}: of {}, older than {}\n", commit.as_deref().unwrap_or_default(), older_than.join(", "))
 }
 
 fn unknown(e: TableError) -> Failure {

@@ -1,6 +1,8 @@
 //! Tables of the papers: listed, shown, planned, run, collected; tables of the documents against presets.
 
 use crate::support::{Call, good, gs4d, text};
+use gs_metrics::testkit::{alex, file, vgg16};
+use serde_json::Value;
 use std::fs;
 use std::path::Path;
 
@@ -13,7 +15,8 @@ fn scene(folder: &Path) {
 #[test]
 fn tables_are_listed_and_shown_with_what_is_there() {
     let dir = tempfile::tempdir().unwrap();
-    fs::create_dir_all(dir.path().join("dnerf/hook")).unwrap();
+    scene(&dir.path().join("dnerf/hook"));
+    fs::create_dir_all(dir.path().join("dnerf/trex")).unwrap();
     let roots = ["--data", text(dir.path())];
     let list = good(&[&["reproduce"][..], &roots].concat()).out;
     let row = |name: &str| list.lines().find(|l| l.split_whitespace().nth(1) == Some(name)).unwrap().to_owned();
@@ -21,7 +24,14 @@ fn tables_are_listed_and_shown_with_what_is_there() {
     let json = good(&["reproduce", "trace", "--json"]).json();
     assert!(json.as_array().unwrap().iter().all(|t| t["paper"] == "trace" && t["table"].is_string()));
     let shown = good(&[&["reproduce", "fags", "dnerf"][..], &roots].concat()).out;
-    for part in ["44.16", "albertpumarola", "dnerf/hook", "mutant             not below --data", "sheet-a"] {
+    for part in [
+        "44.16",
+        "albertpumarola",
+        "dnerf/hook",
+        "mutant             not below --data",
+        "dnerf/trex holds no data set",
+        "sheet-a",
+    ] {
         assert!(shown.contains(part), "`{part}` is not in {shown}");
     }
     gs4d(&["reproduce", "nerf"]).fails(2, &["there is no paper `nerf`", "trace"]);
@@ -57,6 +67,73 @@ fn a_table_is_run_beside_its_figures_and_collected() {
     assert!(["mutant", "SC-GS", "lpips"].iter().all(|what| not_run.contains(what)), "{not_run:?}");
     let page = fs::read_to_string(out.join("reproduce.html")).unwrap();
     assert!(page.contains("copying errors") && page.contains("The order of methods") && !page.contains("src=\"http"));
+}
+
+/// What has no result, and why.
+fn without_a_result<'a>(json: &'a Value, what: &str) -> Option<&'a str> {
+    json["not_run"].as_array().unwrap().iter().find(|n| n["what"] == what)?["why"].as_str()
+}
+
+#[test]
+fn tof_and_lpips_are_measured_where_a_table_asks_and_kept() {
+    let dir = tempfile::tempdir().unwrap();
+    let still = ["--cameras", "2", "--held-out", "1", "--moments", "9", "--size", "48"];
+    let data = dir.path().join("data/reach-g");
+    good(&[&["synth", "balls", "-o", text(&data)][..], &still].concat());
+    let weights = |name: &str, shapes: &[(String, Vec<usize>)]| {
+        let path = dir.path().join(name);
+        fs::write(&path, file(shapes)).unwrap();
+        path
+    };
+    let (alex, vgg) = (weights("alex.safetensors", &alex()), weights("vgg.safetensors", &vgg16()));
+    let base = ["reproduce", "modec", "nvidia", "--scenes", "reach-g", "--entries", "4DGS", "--preset", "tiny"];
+    let more = ["--steps", "3", "--seeds", "0", "-o", text(dir.path()), "--json"];
+    let with = |lpips: &[&str]| good(&[&base[..], &more, lpips].concat());
+    let ours = |json: &Value, column: usize| json["scenes"][0]["entries"][0]["values"][column]["ours"]["mean"].as_f64();
+
+    // The table's network is vgg: weights of another are not used.
+    let call = with(&["--lpips", text(&alex)]);
+    let json = call.json();
+    assert_eq!(json["columns"][3], "tof");
+    assert!(ours(&json, 3).unwrap() > 0.0 && ours(&json, 2).is_none(), "{}", json["scenes"]);
+    assert!(without_a_result(&json, "lpips").unwrap().contains("network vgg"), "{}", json["not_run"]);
+    assert_eq!(without_a_result(&json, "tof"), None);
+    assert!(call.err.contains("LPIPS and tOF of"), "{}", call.err);
+
+    let scored = with(&["--lpips", text(&alex), "--lpips", text(&vgg)]).json();
+    assert!(ours(&scored, 2).unwrap() > 0.0, "{}", scored["scenes"]);
+    assert_eq!((ours(&scored, 3), without_a_result(&scored, "lpips")), (ours(&json, 3), None));
+    let conditions = scored["conditions"].as_str().unwrap();
+    for part in ["lpips: vgg ", "colours in [0, 1]", "tof: mean distance", "psnr: the mean of the images' PSNR"] {
+        assert!(conditions.contains(part), "`{part}` is not in {conditions}");
+    }
+    // Kept with the run, they need neither its checkpoints nor another rendering.
+    let run = fs::read_dir(dir.path().join("reach-g")).unwrap().next().unwrap().unwrap().path().join("seed-0");
+    fs::remove_dir_all(run.join("checkpoints")).unwrap();
+    let again = with(&["--lpips", text(&vgg)]);
+    assert_eq!(again.json()["scenes"], scored["scenes"]);
+    assert!(!again.err.contains("LPIPS and tOF of"), "{}", again.err);
+    // Without them and the checkpoints they are left out by name.
+    let metrics = run.join("metrics.json");
+    let mut json: Value = serde_json::from_str(&fs::read_to_string(&metrics).unwrap()).unwrap();
+    json.as_object_mut().unwrap().remove("columns").unwrap();
+    fs::write(&metrics, json.to_string()).unwrap();
+    let lost = with(&["--collect"]).json();
+    assert!(without_a_result(&lost, "tof").unwrap().contains("checkpoint"), "{}", lost["not_run"]);
+    assert_eq!(ours(&lost, 0), ours(&scored, 0));
+
+    let twice = [&base[..], &more, &["--lpips", text(&vgg), "--lpips", text(&vgg)]].concat();
+    gs4d(&twice).fails(2, &["two files of --lpips are of the same network"]);
+}
+
+#[test]
+fn a_scene_without_a_video_has_no_tof() {
+    let dir = tempfile::tempdir().unwrap();
+    scene(&dir.path().join("data/reach-a"));
+    let call = ["reproduce", "modec", "hypernerf-vrig", "--scenes", "reach-a", "--entries", "4DGS", "--preset", "tiny"];
+    let json = good(&[&call[..], &["--steps", "2", "--seeds", "0", "-o", text(dir.path()), "--json"]].concat()).json();
+    assert!(without_a_result(&json, "tof").unwrap().contains("one camera"), "{}", json["not_run"]);
+    assert!(json["scenes"][0]["entries"][0]["values"][3]["ours"].is_null());
 }
 
 #[test]
