@@ -52,6 +52,8 @@ enum Unmeasured {
     Run(#[from] RunError),
     #[error(transparent)]
     Temporal(#[from] TemporalError),
+    #[error("its data have changed since it was trained")]
+    OtherData,
 }
 
 /// A score as a run keeps it.
@@ -181,9 +183,12 @@ fn tasks(table: &Table, chosen: &Chosen, networks: &[(Network, Arc<Lpips>)]) -> 
 type Measured = (Vec<Result<Option<f64>, Unmeasured>>, Dataset);
 
 /// Measures columns of a run.
-fn measured(registry: &Registry, root: &Path, tasks: &[&Task]) -> Result<Measured, RunError> {
+fn measured(registry: &Registry, root: &Path, tasks: &[&Task]) -> Result<Measured, Unmeasured> {
     let mut run = OpenRun::open(registry, root)?;
     let dataset = run.open_data()?;
+    if !run.trained_on(&dataset) {
+        return Err(Unmeasured::OtherData);
+    }
     let mut reports = BTreeMap::new();
     let values = tasks.iter().map(|t| value(&mut run, &dataset, t, &mut reports)).collect();
     Ok((values, dataset))

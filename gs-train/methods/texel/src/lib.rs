@@ -196,9 +196,9 @@ impl Dut {
         let normals = self.actor.topology.normals(&template.vertices, &template.faces);
         let (mut error, mut count) = ([0.0f64; 2], 0usize);
         for frame in &scene.frames {
+            let Some(wanted) = scene.true_offsets(frame) else { continue };
             let first = self.first(frame)?;
-            let found = offsets(frame, &first)?;
-            let (Some(found), Some(wanted)) = (found, scene.true_offsets(frame)) else { continue };
+            let Some(found) = offsets(frame, &first)? else { continue };
             for ((found, wanted), normal) in found.iter().zip(&wanted).zip(&normals) {
                 let squares = |v: glam::Vec3| [v.length_squared(), v.dot(*normal).powi(2)].map(f64::from);
                 error.iter_mut().zip(squares(*found - *wanted)).for_each(|(sum, v)| *sum += v);
@@ -283,7 +283,7 @@ impl Dut {
     }
 
     /// The frame that a step learns from: in the warm-up one of the first ones, if the settings ask for that.
-    fn warm_up_frame<'a>(&self, frames: &'a [AvatarFrame], frame: &'a AvatarFrame) -> &'a AvatarFrame {
+    fn frame_of_step<'a>(&self, frames: &'a [AvatarFrame], frame: &'a AvatarFrame) -> &'a AvatarFrame {
         if self.phase() != Phase::WarmUp {
             return frame;
         }
@@ -293,12 +293,7 @@ impl Dut {
         learnt.get(first).copied().unwrap_or(frame)
     }
 
-    fn learn(
-        &mut self,
-        frames: &[AvatarFrame],
-        frame: &AvatarFrame,
-        render: &mut dyn RenderView,
-    ) -> Result<(), StepError> {
+    fn learn(&mut self, frame: &AvatarFrame, render: &mut dyn RenderView) -> Result<(), StepError> {
         let share = 1.0 / self.at.batch as f32;
         let phase = self.phase();
         if phase == Phase::Geometry {
@@ -308,7 +303,6 @@ impl Dut {
             terms.into_iter().for_each(|(name, value)| self.add_penalty(name, value));
             return Ok(());
         }
-        let frame = self.warm_up_frame(frames, frame);
         let second = self.jittered(self.second(frame)?, frame.number);
         let (mut rows, mut d_rows) = (std::mem::take(&mut self.rows), std::mem::take(&mut self.d_rows));
         self.rows(&second, &mut rows)?;
@@ -494,8 +488,8 @@ impl Method for Dut {
 
     fn step(&mut self, view: &ViewCtx<'_>, render: &mut dyn RenderView) -> Result<Vec<LossValue>, MethodError> {
         let scene = self.actor.scene.clone();
-        let frame = scene.frame_at(view.at.t);
-        self.learn(&scene.frames, frame, render).map_err(|e| match e {
+        let frame = self.frame_of_step(&scene.frames, scene.frame_at(view.at.t));
+        self.learn(frame, render).map_err(|e| match e {
             StepError::Frame(e) => Self::at_frame(frame, &e),
             StepError::Render(e) => e,
         })?;
