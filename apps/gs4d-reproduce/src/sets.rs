@@ -203,7 +203,7 @@ pub(crate) mod tests {
         }
     }
 
-    /// What a user is told to lay out is what the set's reader knows the folder by.
+    /// The layout that a hint names is one that the reader of the set detects.
     #[test]
     fn every_hint_is_what_its_reader_reads() {
         for (name, set) in DataSet::all().unwrap() {
