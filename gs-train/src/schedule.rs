@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 mod rates;
 mod stage;
 pub(crate) use rates::complete_rates;
-pub use rates::{Decay, LearningRate};
+pub use rates::{Decay, LearningRate, rate_fields};
 pub use stage::{LATEST_WINDOW, Stage};
 
 /// The plan of a run.
@@ -439,13 +439,13 @@ pub(crate) mod tests {
         for steps in [1, 3, 10, 138, 1000] {
             let stage = windowed(steps);
             let growing: Vec<(f64, u32)> = (0..steps).map_while(|offset| stage.window(offset)).collect();
-            assert_eq!(growing.len() as u32, stage.opens(), "{steps}");
-            assert!(growing.windows(2).all(|w| w[0] <= w[1]) && stage.opens() <= steps - steps * 3 / 10);
-            assert!(growing.iter().enumerate().all(|(offset, w)| w.1 > offset as u32 && w.1 <= stage.opens()));
+            assert_eq!(growing.len() as u32, stage.alike_from(), "{steps}");
+            assert!(growing.windows(2).all(|w| w[0] <= w[1]) && stage.alike_from() <= steps - steps * 3 / 10);
+            assert!(growing.iter().enumerate().all(|(offset, w)| w.1 > offset as u32 && w.1 <= stage.alike_from()));
         }
         let published = Stage { window_until: 7000.0 / 37000.0, ..windowed(37_000) };
         assert_eq!(published.window(999), Some((0.125, 1000)));
-        assert_eq!((published.window(1000), published.opens()), (Some((0.25, 2000)), 7000));
+        assert_eq!((published.window(1000), published.alike_from()), (Some((0.25, 2000)), 7000));
         // 100 views: 100 steps of the stage's last 30 %, which is half of the run.
         let first = Stage { first_moment: true, ..stage(1000, false) };
         assert_eq!(schedule(vec![first, windowed(1000)]).shortest(100), 667);

@@ -8,11 +8,13 @@
 //! its shape within a share ε, `max |s − s̄| ≤ ε max |s|` and `2 ‖q − q̄‖ ≤ ε ‖q‖`, at the probe times and half-way between
 //! them. What happens at other times is not known.
 
+pub mod decisions;
 pub mod training;
 
 use crate::capabilities::{FreezeOptions, FreezeReport};
 use glam::{Vec3, Vec4};
 use gs_core::{Camera, Geometry, GeometryRef, Time};
+use rayon::prelude::*;
 
 /// The static splats of a scene and their poses.
 #[derive(Clone, Debug)]
@@ -28,49 +30,28 @@ impl Still {
         options: &FreezeOptions<'_>,
         mut probe: impl FnMut(Time, &mut Geometry),
     ) -> Option<(Self, FreezeReport)> {
-        let gaps = options.probes.max(2) - 1;
-        let mut at = |halves: usize, moved: &mut Geometry| {
-            let normalised = halves as f32 / (2 * gaps) as f32;
-            probe(Time { normalised, seconds: f64::from(normalised) }, moved);
-        };
         let (mut low, mut high, mut moved) = <(Geometry, Geometry, Geometry)>::default();
-        at(0, &mut low);
-        high.clone_from(&low);
-        for p in 1..=gaps {
-            at(2 * p, &mut moved);
+        for (p, t) in probe_times(options.probes).enumerate() {
+            probe(t, &mut moved);
+            if p == 0 {
+                (low, high) = (moved.clone(), moved.clone());
+            }
             fold(&mut low, &moved, f32::min);
             fold(&mut high, &moved, f32::max);
         }
         fold(&mut low, &high, |a, b| 0.5 * (a + b));
         let pose = low;
-
-        let mut worst = vec![Worst::default(); n];
-        let mut look = |halves: usize, worst: &mut [Worst]| {
-            at(halves, &mut moved);
-            worst.iter_mut().enumerate().for_each(|(row, w)| w.see(moved.view(), pose.view(), row));
+        let look = |t: Time, _: Option<&Camera>, worst: &mut [Worst]| {
+            probe(t, &mut moved);
+            for (row, worst) in worst.iter_mut().enumerate() {
+                let [(mean, shape), (pose_mean, pose_shape)] =
+                    [&moved, &pose].map(|g| (g.means[row], (g.scales[row], g.quats[row])));
+                worst.see_mean(mean, pose_mean);
+                worst.see_shape(shape, pose_shape);
+            }
         };
-        let within = |worst: &[Worst]| -> Vec<Option<[f32; 2]>> {
-            let bound = |(row, w): (usize, &Worst)| {
-                let way = screen_bound(w.moved, pose.means[row], options.cameras);
-                (way <= options.pixels && w.shape <= options.shape).then_some([way, w.shape])
-            };
-            worst.iter().enumerate().map(bound).collect()
-        };
-        (0..=gaps).for_each(|p| look(2 * p, &mut worst));
-        let first = within(&worst);
-        (0..gaps).for_each(|p| look(2 * p + 1, &mut worst));
-        let found = within(&worst);
-        let moving: Vec<u32> = (0..n).filter(|&row| found[row].is_none()).map(|row| row as u32).collect();
-        let most = |k: usize| found.iter().flatten().map(|b| b[k]).fold(0.0, f32::max);
-        let report = FreezeReport {
-            splats: n,
-            still: n - moving.len(),
-            bound_pixels: most(0),
-            probes: gaps + 1,
-            shape: most(1),
-            between: first.iter().zip(&found).filter(|(first, found)| first.is_some() && found.is_none()).count(),
-            anchors: 0,
-        };
+        let (still, report) = judge(n, options, |row| pose.means[row], look);
+        let moving: Vec<u32> = (0..n).filter(|&row| !still[row]).map(|row| row as u32).collect();
         (report.still > 0).then_some((Self { pose, moving }, report))
     }
 
@@ -96,25 +77,80 @@ fn fold(to: &mut Geometry, from: &Geometry, f: impl Fn(f32, f32) -> f32) {
     to.quats.as_flattened_mut().iter_mut().zip(from.quats.as_flattened()).for_each(|(a, b)| *a = f(*a, *b));
 }
 
-/// How far a splat was found from its pose.
+/// The times at which motion is probed, from 0 to 1: so many, at least 2.
+pub fn probe_times(probes: usize) -> impl Iterator<Item = Time> {
+    let gaps = probes.max(2) - 1;
+    (0..=gaps).map(move |p| time(2 * p, gaps))
+}
+
+/// So many half gaps after the first probe.
+fn time(halves: usize, gaps: usize) -> Time {
+    let normalised = halves as f32 / (2 * gaps) as f32;
+    Time { normalised, seconds: f64::from(normalised) }
+}
+
+/// How far a row was found from its pose.
 #[derive(Clone, Copy, Debug, Default)]
-struct Worst {
+pub struct Worst {
     /// World units.
     moved: f32,
-    /// A share.
-    shape: f32,
+    /// A share; none where the shape was never seen.
+    shape: Option<f32>,
 }
 
 impl Worst {
-    fn see(&mut self, exact: GeometryRef<'_>, pose: GeometryRef<'_>, row: usize) {
-        self.moved = self.moved.max(exact.means[row].distance(pose.means[row]));
-        let changed = shape_change((exact.scales[row], exact.quats[row]), (pose.scales[row], pose.quats[row]));
-        self.shape = self.shape.max(changed);
+    /// Enters where its centre is.
+    pub fn see_mean(&mut self, exact: Vec3, pose: Vec3) {
+        self.moved = self.moved.max(exact.distance(pose));
+    }
+
+    /// Enters its scales and rotation.
+    pub fn see_shape(&mut self, exact: (Vec3, [f32; 4]), pose: (Vec3, [f32; 4])) {
+        self.shape = Some(self.shape.unwrap_or(0.0).max(shape_change(exact, pose)));
     }
 }
 
+/// Which of `n` rows stay within the tolerances at the probe times and half-way between them, and the report of it, no anchors counted.
+/// `look` enters how far all rows are from their poses at a time, shapes as one of the cameras sees them; `center` is where the
+/// pose of a row is. A row whose shape is never seen is not static.
+pub fn judge(
+    n: usize,
+    options: &FreezeOptions<'_>,
+    center: impl Fn(usize) -> Vec3 + Sync,
+    mut look: impl FnMut(Time, Option<&Camera>, &mut [Worst]),
+) -> (Vec<bool>, FreezeReport) {
+    let FreezeOptions { pixels, probes, cameras, shape, .. } = *options;
+    let gaps = probes.max(2) - 1;
+    let mut worst = vec![Worst::default(); n];
+    let mut look_at = |halves: usize, worst: &mut [Worst]| {
+        look(time(halves, gaps), cameras.get(halves * cameras.len() / (2 * gaps + 1)), worst);
+    };
+    let within = |worst: &[Worst]| -> Vec<Option<[f32; 2]>> {
+        let bound = |(row, w): (usize, &Worst)| {
+            let (way, change) = (screen_bound(w.moved, center(row), cameras), w.shape?);
+            (way <= pixels && change <= shape).then_some([way, change])
+        };
+        worst.par_iter().enumerate().map(bound).collect()
+    };
+    (0..=gaps).for_each(|p| look_at(2 * p, &mut worst));
+    let first = within(&worst);
+    (0..gaps).for_each(|p| look_at(2 * p + 1, &mut worst));
+    let found = within(&worst);
+    let most = |k: usize| found.iter().flatten().map(|b| b[k]).fold(0.0, f32::max);
+    let report = FreezeReport {
+        splats: n,
+        still: found.iter().flatten().count(),
+        bound_pixels: most(0),
+        probes: gaps + 1,
+        shape: most(1),
+        between: first.iter().zip(&found).filter(|(first, found)| first.is_some() && found.is_none()).count(),
+        anchors: 0,
+    };
+    (found.iter().map(Option::is_some).collect(), report)
+}
+
 /// The larger of `max |s − s̄| / max |s|` and `2 ‖q − q̄‖ / ‖q‖`.
-pub fn shape_change(exact: (Vec3, [f32; 4]), pose: (Vec3, [f32; 4])) -> f32 {
+fn shape_change(exact: (Vec3, [f32; 4]), pose: (Vec3, [f32; 4])) -> f32 {
     let size = |v: Vec3| v.abs().max_element();
     let [q, r] = [exact.1, pose.1].map(Vec4::from_array);
     let scale = size(exact.0 - pose.0) / size(exact.0).max(f32::MIN_POSITIVE);

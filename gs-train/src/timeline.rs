@@ -118,8 +118,8 @@ fn about(stage: &Stage, begin: u32) -> String {
         say("images of the first moment");
     }
     if stage.window_parts > 1 {
-        let (parts, all) = (stage.window_parts, begin + stage.opens());
-        say(&format!("images let in by time in {parts} parts, all from step {all}"));
+        let (parts, alike) = (stage.window_parts, begin + stage.alike_from());
+        say(&format!("images let in by time in at most {parts} parts, all alike from step {alike}"));
         if stage.window_newest > 0.0 {
             say(&format!("{} % of the draws of the newest part", 100.0 * stage.window_newest));
         }
@@ -147,7 +147,7 @@ mod tests {
         let text =
             |schedule: &Schedule| toml::Table::try_from(schedule).unwrap().try_into::<Timeline>().unwrap().to_string();
         let want = "1 to 1000: s, the scene rests\n\
-            1001 to 5000: r, images let in by time in 5 parts, all from step 3001\n\
+            1001 to 5000: r, images let in by time in at most 5 parts, all alike from step 3001\n\
             600 to 1000: 5 passes of density control, 0 opacity resets\n\
             1600 to 2900: 14 passes of density control, 0 opacity resets\n\
             every 1000 steps the SH degree rises\n\

@@ -1,4 +1,5 @@
-//! Scores that training does not give: LPIPS with the user's weights, tOF. A run keeps them in its `metrics.json`, under `columns`.
+//! Scores that training does not give: LPIPS with the user's weights, tOF. A run keeps them in its `metrics.json`, under `columns`; who scores it again keeps
+//! those of the same images ([`carry_columns`]).
 
 use crate::column::{Column, Measure};
 use crate::network::Network;
@@ -232,12 +233,30 @@ impl Unmeasured {
     }
 }
 
-/// The scores that a run keeps; none if they cannot be read.
+/// Adds to new scores of a run the columns that the run keeps, where both are scores of the same images: PSNR and SSIM of every view, and those
+/// under its mask, are the same bits. Columns of other images are left out, and the next collection measures them anew.
+pub fn carry_columns(folder: &RunFolder, scores: &mut Value) {
+    let Some(mut old) = written(folder).filter(|old| images(old) == images(scores)) else { return };
+    if let Some(columns) = old.get_mut(COLUMNS) {
+        scores[COLUMNS] = columns.take();
+    }
+}
+
+/// What tells the images of scores apart, of every view.
+fn images(scores: &Value) -> Vec<Value> {
+    let views = ["/views", "/extrapolate/views"].map(|at| scores.pointer(at).and_then(Value::as_array));
+    let of = |v: &Value| json!([v["name"], v["psnr"], v["ssim"], v["masked"]["psnr"], v["masked"]["ssim"]]);
+    views.into_iter().flatten().flatten().map(of).collect()
+}
+
+/// The scores in the folder of a run; none if they cannot be read.
+fn written(folder: &RunFolder) -> Option<Value> {
+    serde_json::from_str(&folder.read(METRICS).ok()?).ok()
+}
+
+/// The columns that a run keeps; none if they cannot be read.
 fn kept(folder: &RunFolder) -> BTreeMap<String, Kept> {
-    let read = || {
-        let mut json: Value = serde_json::from_str(&folder.read(METRICS).ok()?).ok()?;
-        serde_json::from_value(json.get_mut(COLUMNS)?.take()).ok()
-    };
+    let read = || serde_json::from_value(written(folder)?.get_mut(COLUMNS)?.take()).ok();
     read().unwrap_or_default()
 }
 
@@ -246,4 +265,101 @@ fn keep(folder: &RunFolder, kept: &BTreeMap<String, Kept>, dataset: &Dataset) ->
     let Ok(Value::Object(mut scores)) = serde_json::from_str(&folder.read(METRICS)?) else { return Ok(()) };
     scores.insert(COLUMNS.to_owned(), json!(kept));
     folder.write_scores(Value::Object(scores), dataset)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reproduction::Conditions;
+    use gs_synth::SynthOptions;
+    use gs4d_lab::contest::Length;
+    use gs4d_run::opened::metrics_json;
+    use std::fs;
+    use std::sync::atomic::AtomicBool;
+
+    /// The folder of the only scene.
+    fn data(root: &Path) -> PathBuf {
+        root.join("data/reach-g")
+    }
+
+    /// A table with tOF on a scene that a held-out camera filmed, run with one entry and seed.
+    fn trained(root: &Path) -> (Reproduction, Vec<Results>) {
+        let film = SynthOptions { size: 48, cameras: 2, held_out: 1, moments: 9, ..SynthOptions::default() };
+        gs_synth::write(&data(root), "balls", &film, true).unwrap();
+        let conditions = Conditions {
+            data: Vec::new(),
+            scenes: vec!["reach-g".into()],
+            entries: vec!["4DGS".into()],
+            seeds: vec![0],
+            preset: Some("tiny".into()),
+            length: Length::Steps(2),
+            scale: None,
+            sets: Vec::new(),
+            root: root.to_owned(),
+        };
+        let reproduction = Reproduction::new(Table::find("modec", "nvidia").unwrap(), conditions).unwrap();
+        let contests = reproduction.contests(gs_methods::registry()).unwrap();
+        let results = contests.iter().map(|c| c.run(&AtomicBool::new(false), &mut |_| {}).unwrap()).collect();
+        (reproduction, results)
+    }
+
+    /// What is measured without weights, and the number of runs that are scored for it.
+    fn measured((reproduction, results): &(Reproduction, Vec<Results>)) -> (Beside, usize) {
+        let mut scored = 0;
+        let beside = Beside::measure(reproduction, results, gs_methods::registry(), &[], &mut |_| scored += 1);
+        (beside.unwrap(), scored)
+    }
+
+    fn run_of((_, results): &(Reproduction, Vec<Results>)) -> &Path {
+        &results[0].standings[0].trials[0].run
+    }
+
+    #[test]
+    fn a_run_whose_data_have_changed_is_not_measured() {
+        let dir = tempfile::tempdir().unwrap();
+        let trained = trained(dir.path());
+        let metrics = run_of(&trained).join(METRICS);
+        let before = fs::read_to_string(&metrics).unwrap();
+        let images = fs::read_dir(data(dir.path()).join("test")).unwrap();
+        let mut images: Vec<PathBuf> = images.map(|f| f.unwrap().path()).collect();
+        images.sort();
+        fs::copy(images.last().unwrap(), &images[0]).unwrap();
+        let (beside, _) = measured(&trained);
+        let why = Unmeasured::OtherData.to_string();
+        assert_eq!(beside.left_out, [LeftOut { column: "tof", scene: "reach-g".into(), why }]);
+        assert!(beside.scores[run_of(&trained)].is_empty(), "{:?}", beside.scores);
+        assert_eq!(fs::read_to_string(&metrics).unwrap(), before);
+    }
+
+    #[test]
+    fn columns_stay_with_scores_of_the_same_images_alone() {
+        let dir = tempfile::tempdir().unwrap();
+        let trained = trained(dir.path());
+        let (first, scored) = measured(&trained);
+        assert!(scored == 1 && first.scores[run_of(&trained)]["tof"] > 0.0, "{first:?}");
+
+        // As `gs4d eval` scores a run.
+        let run = OpenRun::open(gs_methods::registry(), run_of(&trained)).unwrap();
+        let (folder, dataset) = (run.folder().unwrap(), run.open_data().unwrap());
+        let again = metrics_json(&run.score_for_folder(&dataset).unwrap(), run.loaded.step);
+        let carried = |mut scores: Value| {
+            carry_columns(folder, &mut scores);
+            scores
+        };
+        for (view, score) in [
+            ("/views/0", json!({"psnr": 1.0})),
+            ("/views/1", json!({"ssim": 0.5})),
+            ("/views/0", json!({"masked": {"psnr": 1.0}})),
+            ("/extrapolate/views/0", json!({"psnr": 1.0})),
+        ] {
+            let mut other = again.clone();
+            let Value::Object(score) = score else { unreachable!() };
+            other.pointer_mut(view).unwrap().as_object_mut().unwrap().extend(score.clone());
+            assert_eq!(carried(other).get(COLUMNS), None, "{view}: {score:?}");
+        }
+        folder.write_scores(carried(again.clone()), &dataset).unwrap();
+        assert_eq!(measured(&trained), (first.clone(), 0));
+        folder.write_scores(again, &dataset).unwrap();
+        assert_eq!(measured(&trained), (first, 1), "measured anew without them");
+    }
 }

@@ -30,7 +30,7 @@ mod reproduction;
 mod sets;
 mod table;
 
-pub use beside::Beside;
+pub use beside::{Beside, carry_columns};
 pub use column::{Column, Measure, PsnrMean, Score};
 pub use network::Network;
 pub use outcome::{EntryOutcome, NotRun, Order, Outcome, PublishedMean, SceneOutcome, Value, Verdict};

@@ -145,7 +145,8 @@ impl Config {
         Self { settings, optional: BTreeMap::new() }
     }
 
-    /// Declares a key that has no value until it is given one, of the kind of `example`; nothing where it has a value.
+    /// Declares a key that has no value until it is given one, of the kind of `example`; nothing where it has a value. It is listed
+    /// once it is described.
     pub fn allow(&mut self, key: &str, example: impl Into<Value>) {
         if !self.settings.contains_key(key) {
             self.optional.insert(key.to_owned(), (example.into(), String::new()));
@@ -157,8 +158,9 @@ impl Config {
         self.settings.get(key).map(|s| &s.value).or_else(|| self.optional.get(key).map(|o| &o.0))
     }
 
+    /// All keys, those with a value last.
     fn keys(&self) -> impl Iterator<Item = &String> {
-        self.settings.keys().chain(self.optional.keys())
+        self.optional.keys().chain(self.settings.keys())
     }
 
     /// Overlays a TOML text.
@@ -261,7 +263,9 @@ impl Config {
             let line = format!("{leaf} = {}", show(&setting.value));
             lines.push((section, line, format!("# {}{about}", setting.source).replace(['\n', '\r'], " ")));
         }
-        for (key, (example, about)) in self.optional.iter().filter(|o| !self.settings.contains_key(o.0)) {
+        let described =
+            |(key, (_, about)): &(&String, &(Value, String))| !about.is_empty() && !self.settings.contains_key(*key);
+        for (key, (example, about)) in self.optional.iter().filter(described) {
             let (section, leaf) = key.rsplit_once('.').map_or((None, key.as_str()), |(s, l)| (Some(s), l));
             lines.push((section, format!("# {leaf} = {}", show(example)), format!("# not set; {about}")));
         }
@@ -309,6 +313,8 @@ impl Config {
     fn unknown(&self, key: &str, source: &Source) -> ConfigError {
         let section = format!("{key}.");
         let mut near: Vec<String> = self.keys().filter(|k| k.starts_with(&section)).cloned().collect();
+        near.sort();
+        near.dedup();
         if near.is_empty() {
             let ranked = self.keys().map(|known| (similarity(known, key), known));
             let nearest = ranked.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(similarity, _)| *similarity > 0.6);
@@ -503,6 +509,8 @@ mod tests {
         let mut c = config();
         assert!(c.set("range=0..2").is_err());
         c.allow("range", "0..1");
+        assert!(!c.to_commented_toml().contains("range"), "it is not described");
+        c.describe("range = \"0..1\" # times");
         assert!(c.to_commented_toml().contains("# range = \"0..1\""), "{}", c.to_commented_toml());
         c.set("range=0..2").unwrap();
         assert_eq!(c.get("range").unwrap().value.as_str(), Some("0..2"));

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! RUN/config.resolved.toml   every setting with its source
-//! RUN/provenance.json        version, CPU, device, threads, seed, digest of the data, layout, time source, split sizes
+//! RUN/provenance.json        version, CPU, device, threads, seed, digests of data and weight files, layout, time source, split sizes
 //! RUN/data.json              timestamps, splits and a few cameras of the data, for where the data are not
 //! RUN/log.jsonl              one JSON object per line: step, seconds, loss terms, counts, milliseconds, memory
 //! RUN/histograms.jsonl       histograms of attributes of the splats, where the method has any

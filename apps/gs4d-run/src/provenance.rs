@@ -97,6 +97,7 @@ pub(crate) fn begun(resolved: &Resolved, config: &str, dataset: &Dataset, steps:
         "seed": resolved.run.seed,
         "steps": steps,
         "settings": settings(config),
+        "weight_files": weight_files(config),
         "data": DataOrigin::of(dataset),
     })
 }
@@ -111,6 +112,19 @@ fn settings(config: &str) -> Option<String> {
     let mut hash = Fnv::default();
     hash.feed(json!(table).to_string().as_bytes());
     Some(hash.text())
+}
+
+/// Hash of lengths and parts of the weight files that settings name, `schedule.mrf_weights` say; `None` if they name none.
+fn weight_files(config: &str) -> Option<String> {
+    let table: toml::Table = config.parse().ok()?;
+    let settings = table.values().filter_map(toml::Value::as_table).flatten();
+    let file = |(key, value): (&String, &toml::Value)| {
+        Some(sample(Path::new(value.as_str().filter(|file| key.ends_with("_weights") && !file.is_empty())?)))
+    };
+    let files: Vec<Vec<u8>> = settings.filter_map(file).collect();
+    let mut hash = Fnv::default();
+    files.iter().for_each(|file| hash.feed(file));
+    (!files.is_empty()).then(|| hash.text())
 }
 
 /// Compares the text of the settings with what sessions of the run have written.
@@ -170,6 +184,10 @@ pub(crate) fn resumed(
             machine.simd
         ));
     }
+    let weight_files = weight_files(config);
+    if known(&provenance, "/weight_files", "/weight_files").is_some_and(|known| weight_files.as_ref() != Some(&known)) {
+        warnings.push("the weight files are not those that the run was trained with".to_owned());
+    }
     if let Some(map) = provenance.as_object_mut() {
         // Older runs do not say which they are. A session that ends before it has written its own leaves these in place.
         if map.get("settings").is_none_or(Value::is_null) {
@@ -177,7 +195,8 @@ pub(crate) fn resumed(
         }
         let sessions = map.entry("resumed").or_insert_with(|| json!([]));
         let session = json!({
-            "step": step, "at": now_utc(), "machine": machine, "settings": settings(config), "digest": digest, "details": details,
+            "step": step, "at": now_utc(), "machine": machine, "settings": settings(config), "weight_files": weight_files,
+            "digest": digest, "details": details,
         });
         sessions.as_array_mut().into_iter().for_each(|s| s.push(session.clone()));
     }
@@ -375,6 +394,19 @@ mod tests {
         for (seconds, want) in cases {
             assert_eq!(utc(seconds), want);
         }
+    }
+
+    #[test]
+    fn weight_files_are_told_apart_by_what_they_hold() {
+        let dir = tempfile::tempdir().unwrap();
+        let of = |name: &str, held: &str| {
+            let file = dir.path().join(name);
+            fs::write(&file, held).unwrap();
+            weight_files(&format!("[schedule]\nmrf_weights = '{}'\n", file.display()))
+        };
+        let first = of("a", "one");
+        assert!(first.is_some() && first == of("b", "one") && first != of("a", "two"));
+        assert_eq!(weight_files("[schedule]\nmrf_weights = \"\"\nsteps = 3\n"), None);
     }
 
     #[test]

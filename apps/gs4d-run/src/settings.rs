@@ -15,6 +15,7 @@ use gs_core::io::{Limits, read_text};
 use gs_data::{DataError, DataOptions, Dataset, ImageCache};
 use gs_train::domains::{self, Domain, STEPS, Scaling, within};
 use gs_train::registry::{Registry, section};
+use gs_train::schedule::rate_fields;
 use gs_train::timeline::Timeline;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -136,6 +137,9 @@ pub fn defaults(registry: &Registry, method: &str) -> Result<Config, RunError> {
         config.allow(&format!("data.{key}"), example.clone());
     }
     config.describe(DATA_ABOUT);
+    for (key, neutral) in rate_fields(&table).map_err(|e| ConfigError::Invalid(e.to_string()))? {
+        config.allow(&key, neutral);
+    }
     config.put("run.method", method, Source::Default)?;
     Ok(config)
 }
@@ -433,6 +437,7 @@ fn scaling(key: &str, own: &[Domain]) -> Scaling {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gs_train::schedule::{Decay, Schedule};
 
     pub(super) fn request(sets: &[&str]) -> Request {
         let sets = sets.iter().map(|s| (*s).to_owned()).collect();
@@ -547,6 +552,37 @@ mod tests {
         let [plain, _] = rate(None, &[]);
         assert_eq!((rate(Some(1600), &[]), rate(Some(1), &[])), ([plain / 2.0; 2], [5e-2; 2]), "of 800 steps");
         assert_eq!(rate(Some(1600), &["schedule.lr.cloud.lambda.start=0.3"]), [0.3, plain / 2.0]);
+    }
+
+    #[test]
+    fn every_rate_takes_every_field_and_only_stated_ones_are_listed() {
+        for entry in gs_methods::registry() {
+            let plain = defaults(gs_methods::registry(), entry.name).unwrap();
+            let rates: Vec<String> = plain
+                .iter()
+                .filter_map(|(key, _)| key.strip_prefix("schedule.lr.")?.strip_suffix(".start"))
+                .map(str::to_owned)
+                .collect();
+            assert!(!rates.is_empty(), "{}", entry.name);
+            for rate in rates {
+                for field in ["decay=step", "eps=1e-8", "from=3", "ramp=5", "sparse=true", "weight_decay=1e-5"] {
+                    plain.clone().set(&format!("schedule.lr.{rate}.{field}")).unwrap();
+                }
+            }
+        }
+        let fields = ["decay", "sparse", "ramp", "weight_decay"];
+        let listed = |r: &Resolved| {
+            let text = r.to_toml().unwrap();
+            fields.map(|field| {
+                text.lines().filter(|l| l.trim_start_matches("# ").starts_with(&format!("{field} ="))).count()
+            })
+        };
+        let plain = resolve(gs_methods::registry(), &request(&[])).unwrap();
+        let stepped = resolve(gs_methods::registry(), &request(&["schedule.lr.cloud.means.decay=step"])).unwrap();
+        assert_eq!((listed(&plain), listed(&stepped)), ([0; 4], [1, 0, 0, 0]));
+        let back = Resolved::read(gs_methods::registry(), &stepped.to_toml().unwrap(), "x").unwrap();
+        let schedule: Schedule = section("static3d", &back.method, "schedule").unwrap();
+        assert_eq!(schedule.lr["cloud"]["means"].decay, Decay::Step);
     }
 
     #[test]

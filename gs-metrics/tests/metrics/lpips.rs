@@ -39,6 +39,18 @@ fn distances_are_those_of_the_package() {
     }
 }
 
+/// Files of one network are told apart by what stands beside each value.
+#[test]
+fn weights_name_their_file() {
+    let bytes = file(&alex());
+    let mut other = bytes.clone();
+    // The least bit of the last parameter.
+    let at = other.len() - 4;
+    other[at] ^= 1;
+    let [a, b, again] = [&bytes, &other, &bytes].map(|bytes| Lpips::read(bytes).unwrap().weights());
+    assert!(a == again && a != b, "{a} {b}");
+}
+
 /// Evaluations after 3DGS hand colours in [0, 1] to the package.
 #[test]
 fn distances_of_the_unit_range_are_those_of_the_package_without_its_map() {

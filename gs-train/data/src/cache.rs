@@ -88,7 +88,7 @@ impl ImageCache {
         Self { max_bytes, max_image_bytes: None, scale, held: Mutex::default() }
     }
 
-    /// Bounds the memory for decoding one image, in MiB (`data.max_image_mib`); none: 64 MiB plus eight times its file.
+    /// Bounds the memory for decoding one image, mask or depth PNG, in MiB (`data.max_image_mib`); none: 64 MiB plus eight times its file.
     pub fn with_max_image_mib(mut self, mib: Option<u32>) -> Self {
         self.max_image_bytes = mib.map(|m| u64::from(m) << 20);
         self
@@ -165,7 +165,8 @@ impl ImageCache {
     /// As [`Self::get`], for the file of the depth map; `data.syntax` and `data.field` if it holds something else.
     pub fn depth(&self, v: &View) -> Result<Option<Arc<Image>>, DataError> {
         let Some(map) = &v.depth else { return Ok(None) };
-        self.map(Key { file: map.file.clone(), ..key_of(v) }, || map.read(v, &self.camera(v))).map(Some)
+        let read = || map.read(v, &self.camera(v), self.max_image_bytes);
+        self.map(Key { file: map.file.clone(), ..key_of(v) }, read).map(Some)
     }
 
     /// The weights of a view's mask, `[H, W, 1]` in 0..1, at the size of [`Self::camera`]; none without a mask.

@@ -41,14 +41,14 @@ impl DepthMap {
     }
 
     /// Camera-space z in world units, `[H, W, 1]` at the size of `camera`: [`View::camera`], or that camera scaled. 0 where nothing
-    /// was measured.
+    /// was measured. `max_bytes` bounds the memory for decoding a PNG, as in [`decode`](super::decode::decode).
     ///
     /// # Errors
     /// `data.image_size` if the aspect ratio is not that of the view, `data.image` and `data.syntax` if the file is damaged or of
     /// another kind, `limits.file` and `io.read` as with images.
-    pub(crate) fn read(&self, v: &View, camera: &Camera) -> Result<Image, DataError> {
+    pub(crate) fn read(&self, v: &View, camera: &Camera, max_bytes: Option<u64>) -> Result<Image, DataError> {
         let ([width, height], values) = match self.file.extension() {
-            Some(e) if e.eq_ignore_ascii_case("png") => png(&self.file)?,
+            Some(e) if e.eq_ignore_ascii_case("png") => png(&self.file, max_bytes)?,
             _ => array(&self.file)?,
         };
         mask::check_shape(
@@ -82,9 +82,9 @@ fn array(file: &Path) -> Result<Values, DataError> {
     }
 }
 
-fn png(file: &Path) -> Result<Values, DataError> {
+fn png(file: &Path, max_bytes: Option<u64>) -> Result<Values, DataError> {
     let header = header::read(file)?;
-    let (reader, limits, _) = limited(file, &header, None)?;
+    let (reader, limits, _) = limited(file, &header, max_bytes)?;
     let failed = |e: image::ImageError| DataError::decode(file, e);
     let decoder = PngDecoder::with_limits(reader, limits).map_err(failed)?;
     if decoder.color_type() != ColorType::L16 {

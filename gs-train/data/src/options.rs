@@ -185,7 +185,7 @@ pub struct DataOptions {
     /// Leave pixels outside a training view's mask out of the loss: they teach nothing, whatever is rendered there. A view without a
     /// mask counts wholly.
     pub mask_loss: bool,
-    /// Most memory for decoding one image, MiB; none: 64 MiB plus eight times the size of its file.
+    /// Most memory for decoding one image, mask or depth PNG, MiB; none: 64 MiB plus eight times the size of its file.
     pub max_image_mib: Option<u32>,
 }
 

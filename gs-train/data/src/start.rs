@@ -14,7 +14,7 @@ use serde::Serialize;
 use super::cache::ImageCache;
 use super::error::DataError;
 use super::files::read_text;
-use super::{Dataset, DepthMap, PointCloud, View, colmap, ply, scene_file};
+use super::{Dataset, PointCloud, View, colmap, ply, scene_file};
 
 /// File of the points in the data folder.
 const POINTS: &str = "start.ply";
@@ -125,7 +125,7 @@ impl Dataset {
 
     /// Unprojected random pixels of depth maps.
     fn depth_points(&self, n: usize, seed: u64) -> Result<Option<PointCloud>, DataError> {
-        let with: Vec<(&View, &DepthMap)> = self.train.iter().filter_map(|v| Some((v, v.depth.as_ref()?))).collect();
+        let with: Vec<&View> = self.train.iter().filter(|v| v.depth.is_some()).collect();
         if with.is_empty() {
             return Ok(None);
         }
@@ -133,8 +133,8 @@ impl Dataset {
         let cache = ImageCache::new(0, 1.0).with_max_image_mib(self.max_image_mib);
         let mut cloud = PointCloud::default();
         for k in 0..count {
-            let (view, map) = with[k * with.len() / count];
-            let (depth, image) = (map.read(view, &view.camera)?, cache.get(view)?);
+            let view = with[k * with.len() / count];
+            let (Some(depth), image) = (cache.depth(view)?, cache.get(view)?) else { continue };
             let wanted = (k + 1) * n / count - k * n / count;
             let mut random = Rng::new(seed, "data.depth", 0, k as u64);
             let mut left = TRIES_PER_POINT * wanted;

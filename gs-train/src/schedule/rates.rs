@@ -110,6 +110,21 @@ pub(crate) fn complete_rates(config: &mut toml::Table) {
     }
 }
 
+/// The fields that the rates of a configuration may have: key, and the value that changes nothing.
+///
+/// # Errors
+/// None as long as every field can be written as TOML.
+pub fn rate_fields(config: &toml::Table) -> Result<Vec<(String, Value)>, toml::ser::Error> {
+    let fields = toml::Table::try_from(LearningRate::constant(0.0))?;
+    let groups = config.get("schedule").and_then(|s| s.get("lr")).and_then(Value::as_table);
+    let rates = groups.into_iter().flatten().flat_map(|(group, rates)| {
+        let names = rates.as_table().into_iter().flat_map(toml::Table::keys);
+        names.map(move |name| format!("schedule.lr.{group}.{name}"))
+    });
+    let of = |rate: String| fields.iter().map(move |(field, value)| (format!("{rate}.{field}"), value.clone()));
+    Ok(rates.flat_map(of).collect())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -24,7 +24,7 @@ pub struct Stage {
     /// parts as there are moments. 0: all views from the start.
     #[serde(default)]
     pub window_parts: u32,
-    /// Share of the stage's steps after which all parts are let in, at most [`LATEST_WINDOW`] (TRACE: 7000 of 37000 steps).
+    /// Share of the stage's steps after which all views are drawn alike, at most [`LATEST_WINDOW`] (TRACE: 7000 of 37000 steps).
     #[serde(default)]
     pub window_until: f64,
     /// Share of the draws that are of the part let in last, until the next one is, at most ½ (ours: one after the other, so that a
@@ -55,18 +55,9 @@ impl Stage {
         (open <= self.windows()).then(|| (open / f64::from(self.window_parts), (open * every - 0.5).ceil() as u32))
     }
 
-    /// The step of the stage, counted from 0, from which all views are let in.
-    pub fn opens(&self) -> u32 {
-        self.end_of(f64::from(self.window_parts.saturating_sub(1)))
-    }
-
-    /// The step of the stage, counted from 0, from which all views are drawn alike.
-    pub(super) fn alike_from(&self) -> u32 {
-        self.end_of(self.windows())
-    }
-
-    /// The step at which so many windows are over.
-    fn end_of(&self, windows: f64) -> u32 {
+    /// The step of the stage, counted from 0, from which all views are drawn alike. It is the same for any number of moments above one.
+    pub fn alike_from(&self) -> u32 {
+        let windows = self.windows();
         if windows > 0.0 { (windows * self.every() - 0.5).ceil() as u32 } else { 0 }
     }
 
@@ -76,8 +67,8 @@ impl Stage {
         f64::from(growths + u32::from(growths > 0 && self.window_newest > 0.0))
     }
 
-    /// Steps between two growths of the window.
+    /// Steps of a window.
     fn every(&self) -> f64 {
-        self.window_until * f64::from(self.steps) / f64::from(self.window_parts.saturating_sub(1))
+        self.window_until * f64::from(self.steps) / self.windows()
     }
 }

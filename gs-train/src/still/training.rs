@@ -7,7 +7,7 @@
 //! every `turn` steps    it takes part in the field, which so goes on learning from it, a different part of them in each step
 //! ```
 //! The first share `from` of a stage and the last share `1 − until` leave out none: the field first learns what moves, and what the
-//! run ends with is the field's. A splat that no view has shown is still wherever the field moves it.
+//! run ends with is the field's. A splat that no view has shown is still only if its centre does not move at all.
 
 use super::{fold, shape_change};
 use crate::method::{Buffer, BufferMut, Merge};
@@ -168,9 +168,10 @@ impl StillRows {
             let [quat_low, quat_high] = [&low, &high].map(|g| Vec4::from(g.quats[i]));
             let (mean, quat) = (0.5 * (low.means[i] + high.means[i]), 0.5 * (quat_low + quat_high));
             let scales = 0.5 * (low.scales[i] + high.scales[i]);
-            let way = 0.5 * low.means[i].distance(high.means[i]) * self.reach[i];
+            let way = 0.5 * low.means[i].distance(high.means[i]);
             let change = shape_change((high.scales[i], high.quats[i]), (scales, quat.to_array()));
-            let still = way <= pixels && change <= shape;
+            let known = way == 0.0 || self.reach[i] > 0.0;
+            let still = known && way * self.reach[i] <= pixels && change <= shape;
             row[0] = f32::from(u8::from(still));
             row[1..4].copy_from_slice(&(mean - canonical.means[i]).to_array());
             row[4..8].copy_from_slice(&(quat - Vec4::from(canonical.quats[i])).to_array());
@@ -257,6 +258,14 @@ mod tests {
         assert_eq!(takes_part(StepCtx { stage_offset: 5, ..step(8) }), None, "all at the beginning of a stage");
         assert_eq!(takes_part(StepCtx { stage_offset: 97, ..step(8) }), None, "all at its end");
         assert_eq!(takes_part(StepCtx { deform_only: true, ..step(8) }), None, "all where the cloud rests");
+    }
+
+    #[test]
+    fn what_no_view_has_shown_rests_only_if_its_centre_does_not_move() {
+        let (mut rows, canonical) = (decided(), canonical());
+        rows.reach.fill(0.0);
+        assert_eq!(rows.decide(canonical.view(), |t, out| swing(t, canonical.view(), out)), 1);
+        assert!(rows.flags().eq([true, false, false, false]));
     }
 
     /// Everything is linear in the canonical splats, so a difference of outputs is a derivative.

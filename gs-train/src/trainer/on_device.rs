@@ -130,23 +130,12 @@ impl Trainer {
     ) -> Result<Option<(Learnt, Refused, bool)>, TrainError> {
         let dataset = self.dataset.clone();
         let (views, next) = (self.views(&dataset, step), self.views(&dataset, step + 1));
-        let index = views.indices[0];
-        let scale = self.images.scale();
         match self.on_device(&views) {
             Ok((_, cloud)) if steps.lacks(&cloud).is_none() => {}
             _ => return Ok(None),
         }
         let (mut clock, mut ms) = (Stopwatch::new(), Phases::default());
-        if let ([next], [index]) = (&next.drawn[..], &next.indices[..])
-            && !steps.has_image(*index, scale)
-        {
-            self.prefetch.request(&self.images, next.1);
-        }
-        let (draw, view) = views.drawn[0];
-        if !steps.has_image(index, scale) {
-            let image = self.images.get(view)?;
-            steps.put_image(index, scale, &image).map_err(MethodError::from)?;
-        }
+        self.give_image(steps, &views, &next)?;
         ms.data = clock.lap();
         if self.resident.state == Copies::Host {
             steps.load(&*self.model).map_err(MethodError::from)?;
@@ -157,13 +146,13 @@ impl Trainer {
                 factors.insert(name, self.adam.next(name, *update));
             }
         }
-        let schedule = self.model.schedule();
-        let (_, cloud) = self.on_device(&views).map_err(|why| MethodError::from(DeviceError::new(why)))?;
+        let (schedule, draw) = (self.model.schedule(), views.drawn[0].0);
+        let (view, cloud) = self.on_device(&views).map_err(|why| MethodError::from(DeviceError::new(why)))?;
         let job = DeviceStep {
             cloud,
             camera: &self.images.camera(view),
             options: &schedule.raster_options(schedule.background.color(self.options.seed, draw)),
-            view: index,
+            view: views.indices[0],
             l1: self.pass.loss.l1_weight(),
             dssim: schedule.lambda_dssim,
             update: &|name| factors.get(name).copied(),
@@ -184,6 +173,27 @@ impl Trainer {
         let seen = ViewLoss { terms: values, non_finite, splats, ..ViewLoss::default() };
         let learnt = Learnt::of(&[seen], loss.penalties, views.names(), ms);
         Ok(Some((learnt, refused, edits)))
+    }
+
+    /// Copies the image of a step to the device, unless it is there, and has that of the next one decoded meanwhile.
+    fn give_image(
+        &mut self,
+        steps: &mut dyn DeviceSteps,
+        views: &Views<'_>,
+        next: &Views<'_>,
+    ) -> Result<(), TrainError> {
+        let scale = self.images.scale();
+        if let ([next], [index]) = (&next.drawn[..], &next.indices[..])
+            && !steps.has_image(*index, scale)
+        {
+            self.prefetch.request(&self.images, next.1);
+        }
+        let (index, (_, view)) = (views.indices[0], views.drawn[0]);
+        if !steps.has_image(index, scale) {
+            let image = self.images.get(view)?;
+            steps.put_image(index, scale, &image).map_err(MethodError::from)?;
+        }
+        Ok(())
     }
 }
 

@@ -209,7 +209,7 @@ mod tests {
     #[test]
     fn half_of_the_draws_are_of_the_newest_part_until_all_had_their_turn() {
         let newest = Stage {
-            steps: 200,
+            steps: 240,
             dynamic: true,
             window_parts: 6,
             window_until: 0.5,
@@ -218,7 +218,7 @@ mod tests {
         };
         let schedule = schedule(|s| s.stages = BTreeMap::from([("dynamic".to_owned(), newest.clone())]));
         let order = order();
-        let moments: Vec<usize> = (1..=200).map(|draw| order.view(&schedule, draw) / 4).collect();
+        let moments: Vec<usize> = (1..=240).map(|draw| order.view(&schedule, draw) / 4).collect();
         // A part of six opens every 20 steps: one timestamp of four cameras each.
         for (part, draws) in moments[..120].chunks(20).enumerate() {
             assert!(draws.iter().all(|m| *m <= part), "part {part}: {draws:?}");

@@ -3,7 +3,7 @@
 use glam::Vec3;
 use gs_core::io::{npy, write_file};
 use gs_data::DataOptions;
-use gs_data::{Dataset, DepthMap, ImageSource, PointCloud, StartFrom, View, write_start};
+use gs_data::{Dataset, DepthMap, ImageCache, ImageSource, PointCloud, StartFrom, View, write_start};
 use gs_synth::{self as synth, SynthOptions};
 
 fn folder(name: &str) -> (tempfile::TempDir, Dataset) {
@@ -51,6 +51,23 @@ fn depth_gives_points_on_the_surface() {
     };
     let worst = start.cloud.positions.iter().map(off).fold(0.0, f64::max);
     assert!(worst < 1e-3, "{worst} off the surface");
+}
+
+#[test]
+fn depth_is_read_within_the_limit_of_the_data() {
+    let (dir, mut data) = folder("static");
+    let file = dir.path().join("depth.png");
+    // 1.6 MiB beside images of 48 by 48 pixels.
+    let far = image::Luma([4000u16]);
+    image::ImageBuffer::<image::Luma<u16>, Vec<u16>>::from_pixel(640, 640, far).save(&file).unwrap();
+    data.train.iter_mut().for_each(|v| v.depth = Some(DepthMap { file: file.clone(), unit: 1e-3 }));
+    let fault = |max_image_mib| {
+        let data = Dataset { max_image_mib, ..data.clone() };
+        let begun = data.start(Some(StartFrom::Depth), 10, 0).err().map(|e| e.code());
+        let images = ImageCache::new(0, 1.0).with_max_image_mib(max_image_mib);
+        [begun, images.depth(&data.train[0]).err().map(|e| e.code())]
+    };
+    assert_eq!([None, Some(1), Some(8)].map(fault), [[None; 2], [Some("limits.file"); 2], [None; 2]]);
 }
 
 /// A COLMAP model beside other layouts: one point that the first training image saw, one that the last image of all saw.

@@ -15,13 +15,18 @@ use gs_train::method::{
     Buffer, BufferMut, Buffers, LossValue, Method, MethodError, MovedCloud, RenderView, StepEvents, ViewCtx,
 };
 use gs_train::palette::DIRECTIONS;
+use gs_train::report::Section;
 use gs_train::scene::SceneInfo;
 use gs_train::step::StepCtx;
 use gs_train::still::Still;
+use gs_train::still::decisions::{Decision, section};
 use gs_train::still::training::{StillConfig, StillRows};
 use gs_train::timestamp::Timestamp;
 use std::any::Any;
 use std::sync::{Mutex, PoisonError};
+
+#[cfg(test)]
+mod tests;
 
 /// A cloud moved by a field.
 pub struct Deformed<F: Field> {
@@ -107,7 +112,7 @@ impl<F: Field> Deformed<F> {
             true => self.field.forward(splats.geometry(), t, &mut self.tape, out),
             false => self.field.forward_again(splats.geometry(), t, &mut self.tape, out),
         });
-        vec![serde_json::json!({ "step": step, "still": still, "splats": splats.len() })]
+        vec![serde_json::json!(Decision { step, still, splats: splats.len() })]
     }
 
     fn training_time(&self, t: Time) -> Time {
@@ -261,6 +266,11 @@ where
         let colors = shifts.iter().map(|s| (0.5 + 0.5 * *s / largest).to_array()).collect();
         let motion = Overlay { name: "motion", colors, meaning: DIRECTIONS };
         Ok(std::iter::once(motion).chain(self.quantities(at)?.iter().map(Quantity::overlay)).collect())
+    }
+
+    /// The splats that training left out of the field, if it did.
+    fn report_section(&self, events: &[serde_json::Value]) -> Result<Option<Section>, MethodError> {
+        Ok(section(events))
     }
 }
 

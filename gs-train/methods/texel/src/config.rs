@@ -373,37 +373,44 @@ impl Config {
     /// # Errors
     /// The first setting that does not fit.
     pub fn check(&self, method: &'static str) -> Result<(), MethodError> {
-        let Plan { trainer: schedule, texture } = &self.schedule;
-        schedule.check()?;
-        let wrong = |why: String| Err(MethodError::Config { method, why });
+        self.schedule.trainer.check()?;
+        let checked = self.check_stages().and_then(|()| self.check_numbers()).and_then(|()| self.check_together());
+        checked.map_err(|why| MethodError::Config { method, why })
+    }
+
+    /// What is wrong with the stages, in words.
+    fn check_stages(&self) -> Result<(), String> {
+        let schedule = &self.schedule.trainer;
         let steps = |name: &str| schedule.stages.get(name).map_or(0, |s| s.steps);
         if let Some(name) = schedule.stages.keys().find(|n| PHASES.iter().all(|p| p.0 != n.as_str())) {
-            return wrong(format!("schedule.stages.{name}: the stages are geometry, warm_up and main"));
+            return Err(format!("schedule.stages.{name}: the stages are geometry, warm_up and main"));
         }
         let ordered: Vec<&str> = schedule.ordered().into_iter().map(|s| s.0).collect();
         let mut expected: Vec<&str> = PHASES.map(|p| p.0).into();
         expected.retain(|n| steps(n) > 0);
         if ordered != expected {
-            return wrong(format!(
-                "schedule.stages: the order must be {}, not {}",
-                expected.join(", "),
-                ordered.join(", ")
-            ));
+            let [must, is] = [expected, ordered].map(|names| names.join(", "));
+            return Err(format!("schedule.stages: the order must be {must}, not {is}"));
         }
         if let Some((name, _)) = schedule.ordered().into_iter().skip(1).find(|(_, s)| !s.own_clock) {
-            return wrong(format!(
+            return Err(format!(
                 "schedule.stages.{name}.own_clock: must be true, or what was learnt before goes on moving"
             ));
         }
         if steps("geometry") > 0 && self.input == Input::Single {
-            return wrong("input = \"single\" has no GeoNet: set schedule.stages.geometry.steps = 0".into());
+            return Err("input = \"single\" has no GeoNet: set schedule.stages.geometry.steps = 0".into());
         }
         if steps("warm_up") > 0 && self.mode == Mode::Direct {
-            return wrong("mode = \"direct\" has no GauNet: set schedule.stages.warm_up.steps = 0".into());
+            return Err("mode = \"direct\" has no GauNet: set schedule.stages.warm_up.steps = 0".into());
         }
+        Ok(())
+    }
+
+    /// The first number that is outside its range, in words.
+    fn check_numbers(&self) -> Result<(), String> {
         let positive = |name: &str, v: f32, most: f32| match v > 0.0 && v < most {
             true => Ok(()),
-            false => wrong(format!("{name} = {v}: above 0, below {most}")),
+            false => Err(format!("{name} = {v}: above 0, below {most}")),
         };
         positive("reference.opacity", self.reference.opacity, 1.0)?;
         positive("reference.spread", self.reference.spread, 100.0)?;
@@ -420,20 +427,26 @@ impl Config {
             ("surface.normals", surface.normals),
             ("surface.texture", surface.texture),
             ("surface.color", surface.color),
-            ("schedule.lambda_mrf", texture.lambda_mrf),
+            ("schedule.lambda_mrf", self.schedule.texture.lambda_mrf),
         ];
-        if let Some((name, w)) = weights.into_iter().find(|(_, w)| !(*w >= 0.0 && w.is_finite())) {
-            return wrong(format!("{name} = {w}: finite, not negative"));
+        match weights.into_iter().find(|(_, w)| !(*w >= 0.0 && w.is_finite())) {
+            Some((name, w)) => Err(format!("{name} = {w}: finite, not negative")),
+            None => Ok(()),
         }
+    }
+
+    /// What does not fit together, in words.
+    fn check_together(&self) -> Result<(), String> {
         let [low, high] = self.gaussians.decode.scale_range;
         if low > high {
-            return wrong(format!("gaussians.decode.scale_range = [{low}, {high}]: lowest first"));
+            return Err(format!("gaussians.decode.scale_range = [{low}, {high}]: lowest first"));
         }
-        if !(8..=512).contains(&texture.mrf_side) {
-            return wrong(format!("schedule.mrf_side = {}: 8 to 512", texture.mrf_side));
+        let side = self.schedule.texture.mrf_side;
+        if !(8..=512).contains(&side) {
+            return Err(format!("schedule.mrf_side = {side}: 8 to 512"));
         }
-        if surface.color > 0.0 && surface.points == PointRule::Vertices {
-            return wrong("surface.color holds points against faces: set surface.points = \"faces\"".into());
+        if self.surface.color > 0.0 && self.surface.points == PointRule::Vertices {
+            return Err("surface.color holds points against faces: set surface.points = \"faces\"".into());
         }
         Ok(())
     }

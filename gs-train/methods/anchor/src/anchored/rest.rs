@@ -21,7 +21,7 @@ use gs_core::{Camera, Geometry, GeometryRef, Time, cast};
 use gs_deform::HexPlaneField;
 use gs_deform::apply::{Apply, Offsets};
 use gs_train::capabilities::{FreezeOptions, FreezeReport};
-use gs_train::still::{screen_bound, shape_change};
+use gs_train::still::{Worst, judge, probe_times};
 use rayon::prelude::*;
 
 /// Where rows are, and how LGD changes their shape.
@@ -41,16 +41,6 @@ pub(super) struct Rest {
     poses: Poses,
     still: Vec<bool>,
     below: f32,
-}
-
-/// How far a row was found from its baked pose.
-#[derive(Clone, Copy, Debug, Default)]
-struct Worst {
-    /// World units.
-    moved: f32,
-    /// A share.
-    shape: f32,
-    seen: bool,
 }
 
 impl Poses {
@@ -117,56 +107,19 @@ impl Rest {
     }
 }
 
-impl Worst {
-    fn see(&mut self, exact: (Vec3, [f32; 4]), baked: (Vec3, [f32; 4])) {
-        self.shape = self.shape.max(shape_change(exact, baked));
-        self.seen = true;
-    }
-}
-
 impl Anchored {
     /// Finds what rests; `None` without LGD or where nothing moves.
     pub(super) fn rest(&self, options: &FreezeOptions<'_>) -> Option<(Rest, FreezeReport)> {
         let lgd = self.motion.lgd.as_ref().filter(|_| self.dynamic())?;
-        let FreezeOptions { pixels, probes, cameras, shape, weight } = *options;
-        let gaps = probes.max(2) - 1;
-        let time = |halves: usize| {
-            let normalised = halves as f32 / (2 * gaps) as f32;
-            Time { normalised, seconds: f64::from(normalised) }
-        };
-        let at_probes = || (0..=gaps).map(|p| 2 * p);
-        let poses = at_probes().map(|h| self.poses(lgd, time(h)));
+        let poses = probe_times(options.probes).map(|t| self.poses(lgd, t));
         let span =
             poses.map(|p| (p.clone(), p)).reduce(|(low, high), (a, b)| (low.with(a, f32::min), high.with(b, f32::max)));
         let poses = span.map(|(low, high)| low.with(high, |a, b| 0.5 * (a + b)))?;
-
-        let mut worst = vec![Worst::default(); poses.centers.len() / 3];
-        let look = |halves: usize, worst: &mut [Worst]| {
-            let camera = cameras.get(halves * cameras.len() / (2 * gaps + 1));
-            self.compare(lgd, &poses, time(halves), camera, worst);
-        };
-        let within = |(row, w): (usize, &Worst)| {
-            let way = screen_bound(w.moved, poses.center(row), cameras);
-            (w.seen && way <= pixels && w.shape <= shape).then_some((way, w.shape))
-        };
-        at_probes().for_each(|h| look(h, &mut worst));
-        let first: Vec<_> = worst.par_iter().enumerate().map(within).collect();
-        (0..gaps).for_each(|p| look(2 * p + 1, &mut worst));
-        let found: Vec<_> = worst.par_iter().enumerate().map(within).collect();
-        let still = found.iter().flatten().count();
-        let between = first.iter().zip(&found).filter(|(first, found)| first.is_some() && found.is_none()).count();
-        let most = |f: fn(&(f32, f32)) -> f32| found.iter().flatten().map(f).fold(0.0, f32::max);
-        let idle = self.motion.gad.iter().flat_map(|gad| gad.is_active(&self.anchors, weight)).filter(|p| !p).count();
-        let report = FreezeReport {
-            splats: found.len(),
-            still,
-            bound_pixels: most(|b| b.0),
-            probes: gaps + 1,
-            shape: most(|b| b.1),
-            between,
-            anchors: idle,
-        };
-        Some((Rest { poses, still: found.iter().map(Option::is_some).collect(), below: weight }, report))
+        let look = |t: Time, camera: Option<&Camera>, worst: &mut [Worst]| self.compare(lgd, &poses, t, camera, worst);
+        let (still, report) = judge(poses.centers.len() / 3, options, |row| poses.center(row), look);
+        let below = options.weight;
+        let idle = self.motion.gad.iter().flat_map(|gad| gad.is_active(&self.anchors, below)).filter(|p| !p).count();
+        Some((Rest { poses, still, below }, FreezeReport { anchors: idle, ..report }))
     }
 
     /// The poses of all rows at a time.
@@ -185,7 +138,7 @@ impl Anchored {
     fn compare(&self, lgd: &HexPlaneField, baked: &Poses, t: Time, camera: Option<&Camera>, worst: &mut [Worst]) {
         let exact = self.poses(lgd, t);
         for (row, worst) in worst.iter_mut().enumerate() {
-            worst.moved = worst.moved.max(exact.center(row).distance(baked.center(row)));
+            worst.see_mean(exact.center(row), baked.center(row));
         }
         let Some(camera) = camera else { return };
         let (neural, tape) = self.decoded(&self.local(t), camera, None);
@@ -195,7 +148,7 @@ impl Anchored {
             posed
         });
         for (i, &row) in tape.rows.iter().enumerate() {
-            worst[row as usize].see((exact.scales[i], exact.quats[i]), (baked.scales[i], baked.quats[i]));
+            worst[row as usize].see_shape((exact.scales[i], exact.quats[i]), (baked.scales[i], baked.quats[i]));
         }
     }
 }

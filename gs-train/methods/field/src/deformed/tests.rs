@@ -1,0 +1,120 @@
+//! A body that moves over ground that cannot: the ground rests, and leaves the field.
+
+use super::*;
+use crate::{METHODS, fourdgs};
+use gs_synth::testkit::scene;
+use gs_train::model::Model;
+use gs_train::registry::{Registry, own_settings, parse_config};
+use gs_train::testkit::{run, short};
+use gs_train::trainer::{TrainOptions, Trainer};
+use serde_json::Value;
+use std::sync::Arc;
+
+/// Splats above this height are the body, the others the ground.
+const HEIGHT: f32 = -0.5;
+
+/// The body glides along x at a pace that is learnt. The ground is neither moved nor learnt from.
+#[derive(Clone)]
+struct Glide {
+    pace: Param,
+    /// Splats of ground and body in every backward.
+    learnt_from: Arc<Mutex<Vec<[usize; 2]>>>,
+}
+
+impl Params for Glide {
+    fn visit(&self, f: &mut dyn FnMut(&Param)) {
+        f(&self.pace);
+    }
+
+    fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
+        f(&mut self.pace);
+    }
+}
+
+impl Field for Glide {
+    /// The time.
+    type Tape = f32;
+
+    fn forward(&self, canonical: GeometryRef<'_>, t: Time, tape: &mut f32, out: &mut Geometry) {
+        *tape = t.normalised;
+        out.resize(canonical.len());
+        out.view_mut().copy_from(canonical);
+        out.means.iter_mut().filter(|m| m.z > HEIGHT).for_each(|m| m.x += t.normalised * self.pace.value[0]);
+    }
+
+    fn backward(
+        &mut self,
+        canonical: GeometryRef<'_>,
+        tape: &mut f32,
+        d_out: GeometryRef<'_>,
+        d_canonical: &mut Geometry,
+    ) {
+        let mut body = 0;
+        for (_, d) in canonical.means.iter().zip(d_out.means).filter(|(m, _)| m.z > HEIGHT) {
+            self.pace.grad[0] += *tape * d.x;
+            body += 1;
+        }
+        self.learnt_from.lock().unwrap().push([canonical.len() - body, body]);
+        d_canonical.means.iter_mut().zip(d_out.means).for_each(|(to, d)| *to += *d);
+        d_canonical.scales.iter_mut().zip(d_out.scales).for_each(|(to, d)| *to += *d);
+        let quats = d_canonical.quats.as_flattened_mut().iter_mut().zip(d_out.quats.as_flattened());
+        quats.for_each(|(to, d)| *to += *d);
+    }
+
+    fn regularise(&mut self, _: GeometryRef<'_>, _: Time, _: u32) -> Vec<(&'static str, f32)> {
+        Vec::new()
+    }
+}
+
+/// A run of 30 steps without the field and 30 with it, what it logged, and the splats that each of the latter learnt from.
+fn trained(over: &[&str]) -> (Trainer, Vec<Value>, Vec<[usize; 2]>) {
+    let (registry, data) = (Registry::new(METHODS.to_vec()), scene("falling", 32, 7));
+    let table = short(&registry, "fourdgs", &[&["init = { from = \"random\", bound = 0.9 }"], over].concat());
+    let mut config: fourdgs::Config = parse_config("fourdgs", &own_settings(table)).unwrap();
+    let info = SceneInfo::of(&data, &config.init, 3).unwrap();
+    let learnt_from = Arc::<Mutex<_>>::default();
+    let field = Glide { pace: Param::shared("field.pace", vec![0.5]), learnt_from: learnt_from.clone() };
+    let canonical = Canonical::new(&config.cloud, &mut config.schedule, &info).unwrap();
+    let no_anneal = Anneal { strength: 0.0, ..Anneal::default() };
+    let method = Deformed::new(canonical, field, no_anneal, info.views).resting(config.still, &info);
+    let model = Model::new("glide", method, config.schedule).unwrap();
+    let mut trainer = Trainer::with_method(model, data, info, TrainOptions::default()).unwrap();
+    let events = run(&mut trainer, 60).into_iter().flat_map(|report| report.events).collect();
+    let learnt_from = learnt_from.lock().unwrap().clone();
+    (trainer, events, learnt_from)
+}
+
+/// Rows come and go in both runs. A splat that passes the height is found at once: every step decides.
+#[test]
+fn at_the_tightest_tolerance_the_ground_rests_and_the_run_is_the_same_to_the_bit() {
+    let (plain, none, all) = trained(&[]);
+    let tightest = "still = { pixels = 1e-20, shape = 0.0, every = 1, turn = 1000, from = 0.0, until = 1.0 }";
+    let (resting, events, some) = trained(&[tightest]);
+    assert!(none.is_empty() && events.iter().all(|e| e["still"].as_u64().unwrap() > 0), "{events:?}");
+    assert!(all.iter().map(|n| n[1]).eq(some.iter().map(|n| n[1])), "the body never rests");
+    let [all, some] = [all, some].map(|steps| steps.iter().map(|n| n[0]).sum::<usize>());
+    assert!(0 < some && some < all / 4, "the ground rests once it was seen: {some} of {all}");
+    let [plain, resting] = [plain, resting].map(|trainer| trainer.state().tensors);
+    let tensor = |name: &str| resting.iter().find(|(n, _)| n == name).map(|(_, values)| values).unwrap();
+    assert_ne!(tensor("field.pace"), &[0.5], "the field learns");
+    for (name, values) in &plain {
+        assert!(values == tensor(name), "{name}");
+    }
+}
+
+#[test]
+fn what_rests_skips_the_field_and_what_moves_does_not() {
+    let still = "still = { pixels = 0.1, every = 1, turn = 1000, from = 0.45, until = 0.85 }";
+    let (trainer, events, learnt_from) = trained(&["schedule.density.until = 0", still]);
+    // The first decision is after step 14 of 0 … 29; from step 26 on all take part.
+    for (step, [ground, body]) in learnt_from.iter().enumerate() {
+        assert!(*body > 0 && (*ground == 0) == (15..26).contains(&step), "step {step}: {ground} and {body}");
+    }
+    assert_eq!((events.len(), learnt_from.len()), (12, 30));
+    for (event, [_, body]) in events.iter().zip(&learnt_from[15..26]) {
+        assert_eq!(event["splats"].as_u64().unwrap() - event["still"].as_u64().unwrap(), *body as u64);
+    }
+    let section = trainer.model().report_section(&events).unwrap().unwrap();
+    assert_eq!(section.json["still"], events[11]);
+    assert_eq!(trainer.model().report_section(&[]).unwrap(), None);
+}
