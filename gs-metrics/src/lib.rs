@@ -11,6 +11,7 @@
 //! | masked PSNR and SSIM (DyCheck) | [`masked_psnr`], [`masked_ssim`] | | [`masked`] |
 //! | optical flow (Farneback), its colour coding and statistics | [`farneback`](flow::farneback), [`Flow`] | | [`flow`] |
 //! | tOF: flow of a render against flow of the ground truth | [`Tof`] | | [`tof`] |
+//! | co-visibility masks: what enough other images show of an image | [`seen`] | | [`covisible`] |
 //! | instance masks: AP, PQ, F1, mIoU | [`Segmentation`] | | [`segmentation`] |
 //! | perceptual **proxy**, without learned weights, not LPIPS | [`perceptual_proxy`], [`masked_perceptual_proxy`] | | [`perceptual`] |
 //! | linear map of colours nearest to the ground truth | [`ColorMap::fit`] | [`ColorMap::pull_back`] | [`ColorMap`] |
@@ -21,7 +22,7 @@
 //! # Conventions
 //! Images are [`gs_core::Image`]: row-major, channels interleaved, display-encoded values in `[0, 1]`, 1 to 4 channels
 //! (1 or 3 for some metrics). All channels count alike. Values are not clamped or quantised; a protocol that scores 8-bit
-//! files quantises first ([`Quantise`]). Gradients are with respect to the **first** image and have its shape.
+//! files quantises first ([`Quantise`]), one that scores at half resolution reduces then ([`half_size`]). Gradients are with respect to the **first** image and have its shape.
 //!
 //! Values and gradients are bitwise equal for any number of threads of the current rayon pool. Bad input is a [`MetricError`]
 //! that says what is wrong, where, and what to do. Images with NaN pixels are errors and have no score.
@@ -44,10 +45,12 @@
 #![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 
 pub mod color_map;
+pub mod covisible;
 pub mod error;
 mod fft2;
 pub mod flow;
 mod frozen;
+mod half;
 pub mod lpips;
 pub mod masked;
 pub mod mrf;
@@ -72,8 +75,10 @@ mod weights;
 mod window;
 
 pub use color_map::ColorMap;
+pub use covisible::{CovisibleOptions, Seen, seen};
 pub use error::MetricError;
 pub use flow::Flow;
+pub use half::half_size;
 pub use lpips::{Lpips, LpipsNet, LpipsRange};
 pub use masked::{MaskedSsim, masked_mse, masked_psnr, masked_ssim};
 pub use ms_ssim::{MsSsim, MsSsimOptions, ms_ssim};

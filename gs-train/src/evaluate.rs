@@ -1,6 +1,7 @@
 //! Scores of a method on a split of a data set.
 //!
-//! Frames are compared as they were rendered: `f32`, clamped to `[0, 1]`, not rounded to 8 bit unless [`Scoring::quantise`] asks for it. SSIM is that of the 3DGS
+//! Frames are compared as they were rendered: `f32`, clamped to `[0, 1]`, not rounded to 8 bit unless [`Scoring::quantise`] asks for it, at full size unless
+//! [`Scoring::half`] is set. SSIM is that of the 3DGS
 //! family (zeros outside the image). Both averages of PSNR are given: the mean of the views' values (what papers of the
 //! family print) and the PSNR of the mean squared error.
 //!
@@ -22,7 +23,7 @@ use crate::timestamp::Timestamp;
 use gs_core::{Camera, Image, Splats};
 use gs_data::{DataError, Dataset, ImageCache, Split, View};
 use gs_metrics::{
-    Lpips, Mean, MetricError, Quantise, Scorer, Scores, Sharpness, SsimOptions, Summary, masked_mse,
+    Lpips, Mean, MetricError, Quantise, Scorer, Scores, Sharpness, SsimOptions, Summary, half_size, masked_mse,
     masked_perceptual_proxy, masked_ssim, mse, person_scores, psnr_from_mse, ssim,
 };
 use gs_raster::{DeviceError, Frame};
@@ -40,9 +41,13 @@ const FIT_RIDGE: f64 = 1e-9;
 const FITTED: &str =
     "; fitted: after the linear map of colours that brings each frame nearest to its image by least squares";
 
-/// [`PROTOCOL`] of frames that are rounded, and of scores in the colours of the images.
-fn protocol(quantise: Quantise, fit_colors: bool) -> String {
-    format!("{}{}", rounded(quantise), if fit_colors { FITTED } else { "" })
+/// What is added for images of half size.
+const HALF: &str = "; all reduced to half size by means of areas of 2x2 pixels before they are scored";
+
+/// [`PROTOCOL`] of frames that are rounded or reduced, and of scores in the colours of the images.
+fn protocol(scoring: &Scoring<'_>) -> String {
+    let of = |given: bool, words: &'static str| if given { words } else { "" };
+    format!("{}{}{}", rounded(scoring.quantise), of(scoring.half, HALF), of(scoring.fit_colors, FITTED))
 }
 
 fn rounded(quantise: Quantise) -> String {
@@ -333,16 +338,49 @@ pub struct Scoring<'a> {
     pub device: &'a Device,
     /// Rounding of frames to 8 bit; unless it is [`Quantise::None`], truths are rounded over their background.
     pub quantise: Quantise,
+    /// Reduces frames, truths and masks to half size before they are scored ([`half_size`]), after rounding.
+    pub half: bool,
     /// Scores LPIPS as well.
     pub lpips: Option<&'a Lpips>,
-    /// Scores in the colours of the images as well ([`FittedScores`]), which methods that were trained so always get.
+    /// Scores in the colours of the images as well ([`FittedScores`]), which methods that were trained so always get; never at half size.
     pub fit_colors: bool,
 }
 
 impl<'a> Scoring<'a> {
-    /// Frames that are not rounded, without LPIPS, in their own colours.
+    /// Frames that are neither rounded nor reduced, without LPIPS, in their own colours.
     pub fn new(background: [f32; 3], images: &'a ImageCache, share: &'a Share, device: &'a Device) -> Self {
-        Self { background, images, share, device, quantise: Quantise::None, lpips: None, fit_colors: false }
+        let (quantise, half, lpips, fit_colors) = Default::default();
+        Self { background, images, share, device, quantise, half, lpips, fit_colors }
+    }
+
+    /// The scores of the frame of a view, and its mean squared error. Of a filmed person, the person counts.
+    fn of_frame(
+        &self,
+        view: &View,
+        frame: &Frame,
+        is_person: bool,
+        scorer: &mut Scorer,
+    ) -> Result<(ViewScores, f64), EvalError> {
+        let image = self.images.get(view)?;
+        let mut truth = image.over(self.background);
+        let mut mask = self.images.mask(view)?.or_else(|| is_person.then(|| Arc::new(image.alpha())));
+        let mut rendered = clamped(frame);
+        if self.quantise != Quantise::None {
+            self.quantise.apply(&mut rendered);
+            Quantise::Round.apply(&mut truth);
+        }
+        if self.half {
+            (rendered, truth) = (half_size(&rendered), half_size(&truth));
+            mask = mask.map(|mask| Arc::new(half_size(&mask)));
+        }
+        let mask = mask.as_deref();
+        let mut scored = || {
+            let scores = scorer.score(&rendered, &truth)?;
+            let of = ViewScores::of(view, &scores, [&rendered, &truth], mask, self.lpips)?;
+            let fitted = self.fit_colors.then(|| FittedScores::of(frame, self.background, &truth, mask)).transpose()?;
+            Ok((ViewScores { fitted, ..of }, scores.mse))
+        };
+        scored().map_err(|source| EvalError::Metric { view: view.name.clone(), source })
     }
 }
 
@@ -370,8 +408,9 @@ pub fn evaluate_splats(
     split: Split,
     scoring: &Scoring<'_>,
 ) -> Result<EvalReport, EvalError> {
-    let Scoring { background, images, share, device, quantise, lpips, fit_colors } = *scoring;
-    let fit_colors = fit_colors || model.schedule().exposure.fit;
+    let fit_colors = scoring.fit_colors || model.schedule().exposure.fit;
+    let scoring = &Scoring { fit_colors: fit_colors && !scoring.half, ..*scoring };
+    let Scoring { background, images, share, device, .. } = *scoring;
     let views = dataset.views(split);
     if views.is_empty() {
         return Err(EvalError::NoViews(split_name(split)));
@@ -387,35 +426,24 @@ pub fn evaluate_splats(
         let splats = splats(&Timestamp::new(correction.at(view.time)), &camera);
         let splats = splats.map_err(|e| EvalError::Method { view: view.name.clone(), source: Box::new(e) })?;
         rasterizer.render_into(splats.view(), &camera, &options, &mut frame)?;
-        let image = images.get(view)?;
-        let mut truth = image.over(background);
-        // Of a filmed person, the person counts.
-        let mask = images.mask(view)?.or_else(|| dataset.avatar.is_some().then(|| Arc::new(image.alpha())));
-        let mut rendered = clamped(&frame);
-        if quantise != Quantise::None {
-            quantise.apply(&mut rendered);
-            Quantise::Round.apply(&mut truth);
-        }
-        let scored = scorer.score(&rendered, &truth).and_then(|scores| {
-            Ok((ViewScores::of(view, &scores, [&rendered, &truth], mask.as_deref(), lpips)?, scores.mse))
-        });
-        let scored = scored.and_then(|(scores, mse)| {
-            let fitted =
-                fit_colors.then(|| FittedScores::of(&frame, background, &truth, mask.as_deref())).transpose()?;
-            Ok((ViewScores { camera: corrections[k], fitted, ..scores }, mse))
-        });
-        scored.map_err(|source| EvalError::Metric { view: view.name.clone(), source })
+        let (scores, mse) = scoring.of_frame(view, &frame, dataset.avatar.is_some(), &mut scorer)?;
+        Ok::<_, EvalError>((ViewScores { camera: corrections[k], ..scores }, mse))
     })?;
+    Ok(report(model, split, scoring, scored))
+}
+
+/// The report of views with their mean squared errors.
+fn report(model: &Model, split: Split, scoring: &Scoring<'_>, scored: Vec<(ViewScores, f64)>) -> EvalReport {
     let scores: Vec<Scores> = scored.iter().map(|(view, mse)| view.with_mse(*mse)).collect();
     let summary = Summary::of(&scores);
     let views: Vec<ViewScores> = scored.into_iter().map(|(view, _)| view).collect();
-    Ok(EvalReport {
+    EvalReport {
         method: model.name().to_owned(),
         split: split_name(split).to_owned(),
-        background,
-        scale: images.scale(),
-        protocol: protocol(quantise, fit_colors),
-        lpips_weights: lpips.map(Lpips::weights),
+        background: scoring.background,
+        scale: scoring.images.scale(),
+        protocol: protocol(scoring),
+        lpips_weights: scoring.lpips.map(Lpips::weights),
         mean: mean_scores(&summary, &views),
         psnr_of_mean_mse: summary.psnr_of_mean_mse.filter(|v| v.is_finite()),
         perfect_views: summary.mean_psnr.infinite,
@@ -425,7 +453,7 @@ pub fn evaluate_splats(
         views,
         cameras: RefinedCameras::of(model),
         extrapolate: None,
-    })
+    }
 }
 
 /// The scores of a split and, beside them, those of the views beyond the last training time, where there are any.

@@ -9,7 +9,7 @@ mod images;
 use crate::compare::{Comparer, Metric, SetScores};
 use gs_core::io::IoError;
 pub use gs_metrics::{Lpips, LpipsRange, Quantise, TofOptions};
-use gs_metrics::{MetricError, Tof, TofScore};
+use gs_metrics::{MetricError, Tof, TofScore, half_size};
 use images::{ImageFolder, Loaded, load_mask, load_over};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -31,6 +31,8 @@ pub struct FolderTask {
     pub tof: Option<TofOptions>,
     /// Quantisation of the images; unless it is [`Quantise::None`], ground truth is rounded to 8 bit.
     pub quantise: Quantise,
+    /// Reduces images, ground truth and masks to half size before they are scored ([`half_size`]), after rounding; tOF is of full size.
+    pub half: bool,
     /// Colour behind images with alpha, RGB in `[0, 1]`.
     pub background: [f32; 3],
 }
@@ -201,11 +203,14 @@ pub fn score(task: &FolderTask) -> Result<FolderScores, FolderError> {
     for (i, (image_file, truth)) in images.files().iter().zip(&truths).enumerate() {
         let [image, truth] = read_pair(task, &image_file.path, &truth.path)?;
         behinds.add(&image, &truth);
-        let (image, truth) = (image.image, truth.image);
-        let mask = masks.as_ref().map(|m| load_mask(&m[i].path)).transpose()?;
+        let (mut image, mut truth) = (image.image, truth.image);
+        let mut mask = masks.as_ref().map(|m| load_mask(&m[i].path)).transpose()?;
         let failed = |source| FolderError::Metric { path: image_file.path.clone(), source };
-        comparer.add(&image_file.name, &image, &truth, mask.as_ref()).map_err(failed)?;
         video.as_mut().map_or(Ok(()), |v| v.add(&image, &truth)).map_err(failed)?;
+        if task.half {
+            (image, truth, mask) = (half_size(&image), half_size(&truth), mask.as_ref().map(half_size));
+        }
+        comparer.add(&image_file.name, &image, &truth, mask.as_ref()).map_err(failed)?;
     }
     let failed = |source| FolderError::Metric { path: task.pred.clone(), source };
     let tof = video.map(Tof::finish).transpose().map_err(failed)?;
@@ -234,8 +239,9 @@ fn protocol(task: &FolderTask, clear: bool) -> String {
         Quantise::Round => "rounded to 8 bit",
         Quantise::Truncate => "images truncated and truths rounded to 8 bit",
     };
+    let half = if task.half { ", reduced to half size by means of areas of 2x2 pixels" } else { "" };
     let mut parts =
-        vec![format!("data range 1, {quantised}; SSIM 11x11 with zero padding; perceptual_proxy is not LPIPS")];
+        vec![format!("data range 1, {quantised}{half}; SSIM 11x11 with zero padding; perceptual_proxy is not LPIPS")];
     if clear {
         let [r, g, b] = task.background;
         parts.push(format!("transparent pixels over {r},{g},{b}"));
@@ -286,6 +292,7 @@ mod tests {
             lpips: None,
             tof: Some(TofOptions::default()),
             quantise: Quantise::Round,
+            half: false,
             background: [0.0; 3],
         }
     }

@@ -1,6 +1,7 @@
 //! Evaluation of trained scenes: scores of image folders, forecasts, segments, tracks, and export to other formats.
 //!
 //! * [`folders`], [`compare`], [`temporal`]: given images against ground truth, frame by frame and over time.
+//! * [`covisible`]: masks of what training images show of held-out views.
 //! * [`forecast`]: frames past the last training time; [`physics_check`]: learnt motion against known twists.
 //! * [`layers`]: colours per splat that are drawn in place of the scene's own.
 //! * [`segment`]: rigid parts; [`track`]: the path of one part; [`stage_motion`]: what each stage of a method moves.
@@ -10,6 +11,7 @@
 #![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 
 pub mod compare;
+pub mod covisible;
 pub mod export;
 pub mod folders;
 pub mod forecast;

@@ -6,12 +6,13 @@
 //! trained again, an interrupted one is resumed.
 //!
 //! The trials can be trained elsewhere: [`Contest::plan`] gives a command line for each, [`Contest::collect`] the results of
-//! those that stand.
+//! those that stand. [`run_all`] trains those of several contests at once, one on each core.
 
 mod entry;
 mod job;
 mod pilot;
 mod plan;
+mod together;
 
 pub use entry::Entry;
 use gs_train::evaluate::EvalReport;
@@ -25,6 +26,7 @@ use serde::Serialize;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
+pub use together::run_all;
 
 /// Length of every trial.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -7,6 +7,7 @@
 //! * [`Beside`] holds what training does not score: LPIPS with the user's weights, tOF.
 //! * An [`Outcome`] holds our figures beside the published ones, the paper's order of methods with paired differences, and what was not
 //!   run; [`page`] shows it.
+//! * [`nightly`] runs the tables on which the papers' orders rest, small enough for a night, and sums up what was found.
 //! * [`documents`] says which tables of the documents name a preset that has changed since they were measured.
 //!
 //! ```
@@ -24,6 +25,7 @@ mod beside;
 mod column;
 pub mod documents;
 mod network;
+pub mod nightly;
 mod outcome;
 pub mod page;
 mod reproduction;
@@ -33,6 +35,7 @@ mod table;
 pub use beside::{Beside, carry_columns};
 pub use column::{Column, Measure, PsnrMean, Score};
 pub use network::Network;
+pub use nightly::Nightly;
 pub use outcome::{EntryOutcome, NotRun, Order, Outcome, PublishedMean, SceneOutcome, Value, Verdict};
 pub use reproduction::{Chosen, Conditions, ReproduceError, Reproduction};
 pub use sets::{Absence, DataSet, Generated};

@@ -83,9 +83,18 @@ pub fn sentence(first: &str, order: &Order, unit: &str) -> String {
 }
 
 fn sentences(outcome: &Outcome) -> Vec<String> {
-    let first = outcome.scenes.first().and_then(|s| s.entries.first()).map_or("", |e| &e.entry);
-    let unit = if outcome.columns.first().is_some_and(|c| c.ends_with("psnr")) { " dB" } else { "" };
+    let (first, unit) = (first_entry(outcome), unit(outcome));
     outcome.orders.iter().map(|o| sentence(first, o, unit)).collect()
+}
+
+/// The entry that the others are compared with.
+pub(crate) fn first_entry(outcome: &Outcome) -> &str {
+    outcome.scenes.first().and_then(|s| s.entries.first()).map_or("", |e| &e.entry)
+}
+
+/// Unit of the column that decides the order, with a space before it.
+pub(crate) fn unit(outcome: &Outcome) -> &'static str {
+    if outcome.columns.first().is_some_and(|c| c.ends_with("psnr")) { " dB" } else { "" }
 }
 
 /// The outcome as text.

@@ -2,6 +2,7 @@
 
 use crate::column::{Column, PsnrMean};
 use crate::network::Network;
+use crate::nightly::Nightly;
 use gs_metrics::LpipsRange;
 use gs4d_lab::contest::Entry;
 use serde::Deserialize;
@@ -72,6 +73,9 @@ pub struct Table {
     /// The command that makes our side of a table without data.
     #[serde(default)]
     pub command: Option<String>,
+    /// How the nightly job runs it; absent where it does not.
+    #[serde(default)]
+    pub nightly: Option<Nightly>,
     /// The rows. The others are compared with the first.
     pub entries: Vec<TableEntry>,
     /// Published means over scenes by entry, in the order of the columns; figures that are not printed are absent or NaN.

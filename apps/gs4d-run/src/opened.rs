@@ -37,6 +37,8 @@ pub struct OpenRun {
     pub device: Device,
     /// Rounding of frames to 8 bit before they are scored.
     pub quantise: Quantise,
+    /// Reduces frames and images to half size before they are scored.
+    pub half: bool,
     /// Scores LPIPS as well.
     pub lpips: Option<Arc<Lpips>>,
     /// Scores in the colours of the images as well.
@@ -73,25 +75,7 @@ impl OpenRun {
             let newest = checkpoint::load_newest(&folder.checkpoints())?;
             (Some(folder), newest)
         };
-        let meta = &newest.checkpoint.meta;
-        let (settings, kept) = match meta.get(SETTINGS).and_then(Value::as_str).filter(|_| folder.is_none()) {
-            Some(settings) => {
-                let kept = [compact::DATA, compact::CAMERAS].iter().find_map(|key| meta.get(*key));
-                (settings.to_owned(), kept.cloned())
-            }
-            None => {
-                let around;
-                let run = match &folder {
-                    Some(folder) => folder,
-                    None => {
-                        around = RunFolder::around(path)?;
-                        &around
-                    }
-                };
-                let read = |name: &&str| serde_json::from_str(&run.read(name).ok()?).ok();
-                (run.read(folder::CONFIG)?, [folder::DATA, folder::CAMERAS].iter().find_map(read))
-            }
-        };
+        let (settings, kept) = settings(&newest, folder.as_ref(), path)?;
         let mut resolved = Resolved::read(registry, &settings, folder::CONFIG)?;
         if let Some(data) = data {
             resolved = resolved.with_data(data)?;
@@ -104,8 +88,22 @@ impl OpenRun {
             .map_err(gs_train::trainer::TrainError::State)?;
         let Newest { path, skipped, .. } = newest;
         let (share, device, moved) = (Arc::default(), Device::default(), data.is_some());
-        let (quantise, lpips, fit_colors) = Default::default();
-        Ok(Self { folder, resolved, loaded, path, skipped, share, device, quantise, lpips, fit_colors, kept, moved })
+        let (quantise, half, lpips, fit_colors) = Default::default();
+        Ok(Self {
+            folder,
+            resolved,
+            loaded,
+            path,
+            skipped,
+            share,
+            device,
+            quantise,
+            half,
+            lpips,
+            fit_colors,
+            kept,
+            moved,
+        })
     }
 
     /// The data set of the run.
@@ -169,6 +167,7 @@ impl OpenRun {
     pub fn scoring<'a>(&'a self, background: [f32; 3], images: &'a ImageCache) -> Scoring<'a> {
         Scoring {
             quantise: self.quantise,
+            half: self.half,
             lpips: self.lpips.as_deref(),
             fit_colors: self.fit_colors,
             ..Scoring::new(background, images, &self.share, &self.device)
@@ -200,6 +199,25 @@ impl OpenRun {
         report.train_seconds = Some(self.loaded.train_seconds);
         Ok(report)
     }
+}
+
+/// The settings of the run, and what was kept of its data: of its folder; of a file, what it holds itself, else those of the folder it lies in.
+fn settings(newest: &Newest, folder: Option<&RunFolder>, path: &Path) -> Result<(String, Option<Value>), RunError> {
+    let meta = &newest.checkpoint.meta;
+    if let Some(settings) = meta.get(SETTINGS).and_then(Value::as_str).filter(|_| folder.is_none()) {
+        let kept = [compact::DATA, compact::CAMERAS].iter().find_map(|key| meta.get(*key));
+        return Ok((settings.to_owned(), kept.cloned()));
+    }
+    let around;
+    let run = match folder {
+        Some(folder) => folder,
+        None => {
+            around = RunFolder::around(path)?;
+            &around
+        }
+    };
+    let read = |name: &&str| serde_json::from_str(&run.read(name).ok()?).ok();
+    Ok((run.read(folder::CONFIG)?, [folder::DATA, folder::CAMERAS].iter().find_map(read)))
 }
 
 /// Fails if nothing is at a path, as opening a file there does.

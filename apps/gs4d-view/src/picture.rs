@@ -11,7 +11,7 @@ use crate::shot::{MIN_OPACITY, SelectionCache, Shot};
 use crate::stage::Stage;
 use crate::style::Style;
 use gs_core::{Camera, Image, Splats};
-use gs_metrics::psnr;
+use gs_metrics::{half_size, psnr};
 use gs_raster::{DeviceError, Frame, Rasterizer};
 use gs_train::device::Device;
 use gs_train::evaluate::clamped;
@@ -142,7 +142,7 @@ impl Renderer {
                 clamped(self.render(Cow::Owned(splats), shot)?)
             }
         };
-        Ok(if fine { halved(&image) } else { image })
+        Ok(if fine { half_size(&image) } else { image })
     }
 
     /// The splats of a layer, for the renderer in the browser: all, in the same order at every time.
@@ -301,21 +301,6 @@ fn difference(image: &mut Image, other: &Image, gain: f32) {
     image.data.iter_mut().zip(&other.data).for_each(|(a, b)| *a = (0.5 + 0.5 * gain * (*a - b)).clamp(0.0, 1.0));
 }
 
-/// Means of 2 × 2 pixels; the sides are even.
-fn halved(image: &Image) -> Image {
-    let (width, height, channels) = (image.width / 2, image.height / 2, image.channels);
-    let mut half = Image::zeros(width, height, channels);
-    for y in 0..height {
-        for x in 0..width {
-            for c in 0..channels {
-                let at = |dx, dy| image.pixel(2 * x + dx, 2 * y + dy)[c];
-                half.pixel_mut(x, y)[c] = 0.25 * (at(0, 0) + at(1, 0) + at(0, 1) + at(1, 1));
-            }
-        }
-    }
-    half
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -329,6 +314,6 @@ mod tests {
         let mut image = grey(0.0);
         difference(&mut image, &grey(0.5), 4.0);
         assert_eq!(image.data[0], 0.0);
-        assert_eq!(halved(&grey(0.9)).data, [0.6]);
+        assert_eq!(half_size(&grey(0.9)).data, [0.6]);
     }
 }

@@ -6,7 +6,7 @@ use std::sync::LazyLock;
 const GROUPS: [(&str, &[&str]); 4] = [
     ("Compare", &["compare", "continual", "reproduce"]),
     ("Look inside", &["methods", "config", "inspect", "forecast", "segment", "glmd", "live"]),
-    ("Make data, take over a scene", &["synth", "pose", "import-checkpoint"]),
+    ("Make data, take over a scene", &["synth", "pose", "covisible", "import-checkpoint"]),
     ("Measure, and set up a shell", &["lab", "bench", "completions", "man"]),
 ];
 

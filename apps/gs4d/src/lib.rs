@@ -79,6 +79,8 @@ enum Verb {
     #[command(hide = true)]
     Pose(verbs::pose::PoseVerb),
     #[command(hide = true)]
+    Covisible(verbs::covisible::Covisible),
+    #[command(hide = true)]
     Lab(verbs::lab::Lab),
     #[command(hide = true)]
     Bench(verbs::bench::Bench),
@@ -144,6 +146,7 @@ fn run(cli: Cli) -> Result<Answer, Failure> {
         Verb::Reproduce(verb) => verb.run(global),
         Verb::Sweep(verb) => renamed("sweep", "compare settings", global, |global| verb.run(global)),
         Verb::Pose(verb) => verb.run(global),
+        Verb::Covisible(verb) => verb.run(global),
         Verb::Lab(verb) => verb.run(global),
         Verb::Bench(verb) => verb.run(global),
     }

@@ -2,8 +2,35 @@
 
 use crate::failure::Failure;
 use crate::global::Global;
+use gs_data::DataOptions;
 use gs4d_run::OpenRun;
+use gs4d_run::settings::{Request, resolve};
 use std::path::{Path, PathBuf};
+
+/// How a data set is read, where no run says it.
+#[derive(clap::Args, Clone, Debug, Default)]
+pub struct Reading {
+    /// Read the folder with this layout [default: the one that fits].
+    #[arg(long)]
+    layout: Option<String>,
+    /// A setting of the data, data.KEY=VALUE (repeatable).
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    sets: Vec<String>,
+}
+
+impl Reading {
+    /// The options of the reader; settings that are not of the data are refused.
+    pub fn options(&self) -> Result<DataOptions, Failure> {
+        if let Some(other) = self.sets.iter().find(|s| !s.starts_with("data.")) {
+            return Err(Failure::usage(format!("`{other}` is no setting of the data")));
+        }
+        // Every method reads its data by the same settings.
+        let method = "static3d".to_owned();
+        let request = Request { method, preset: "fast".into(), sets: self.sets.clone(), ..Request::default() };
+        let options = resolve(gs_methods::registry(), &request)?.data;
+        Ok(DataOptions { layout: self.layout.clone().or(options.layout.clone()), ..options })
+    }
+}
 
 /// Where the data of a run are.
 #[derive(clap::Args, Clone, Debug, Default)]

@@ -2,7 +2,19 @@
 
 use crate::failure::{Class, Failure};
 use gs_core::io::{disk, folder_of};
+use gs_data::View;
+use gs_train::renderer::file_stem;
+use std::collections::BTreeSet;
 use std::path::Path;
+
+/// A file name per view; numbered if two views have the same name.
+pub fn stems(views: &[View]) -> Vec<String> {
+    let own: Vec<String> = views.iter().map(|v| file_stem(&v.name)).collect();
+    if own.iter().collect::<BTreeSet<_>>().len() == own.len() {
+        return own;
+    }
+    own.iter().enumerate().map(|(k, stem)| format!("{k:04}_{stem}")).collect()
+}
 
 /// Fails if one of the output files exists, unless `force` is set. `what` names the file and `choose` what `-o` gives
 /// (`name` or `folder`) in the message.

@@ -1,5 +1,6 @@
 //! The metrics against independent `f64` references, central differences, published and golden scores, and human order.
 
+mod covisible;
 mod data;
 mod distort;
 mod flow;

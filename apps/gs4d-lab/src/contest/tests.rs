@@ -93,6 +93,50 @@ fn a_contest_stops_when_asked_and_goes_on() {
 }
 
 #[test]
+fn several_contests_at_once_give_what_each_gives_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("moving");
+    write(&data, "balls", &SynthOptions { val_views: 1, ..SynthOptions::of_views(32, 6, 1) }, false).unwrap();
+    let base = Contest { data, seeds: vec![0, 1], length: Length::Steps(6), ..tiny(folder.path(), 4, 1) };
+    let contest = |root: &str, entries: &[&str]| {
+        let entries = entries.iter().map(|e| Entry::parse(e).unwrap()).collect();
+        Contest { root: folder.path().join(root), entries, ..base.clone() }
+    };
+    let all = [contest("a", &["static3d", "static3d init.points=200"]), contest("b", &["fourdgs"])];
+    let stop = AtomicBool::new(false);
+    let halt = |_: usize, event: Event| {
+        if matches!(event, Event::Step(_)) {
+            stop.store(true, std::sync::atomic::Ordering::Relaxed);
+        }
+    };
+    assert!(matches!(run_all(&all, 2, &stop, &halt), Err(ContestError::Interrupted(_))));
+    let begun = std::sync::Mutex::new(Vec::new());
+    let note = |of: usize, event: Event| {
+        if let Event::Trial(trial) = event {
+            begun.lock().unwrap().push((of, trial.to_owned()));
+        }
+    };
+    let together = run_all(&all, 2, &AtomicBool::new(false), &note).unwrap();
+    let mut begun = begun.into_inner().unwrap();
+    begun.sort();
+    assert_eq!(begun.len(), 6, "none was done, and each is begun once: {begun:?}");
+
+    let alone = [contest("c", &["static3d", "static3d init.points=200"]), contest("d", &["fourdgs"])];
+    for (together, alone) in together.iter().zip(&alone) {
+        let alone = alone.run(&AtomicBool::new(false), &mut |_| {}).unwrap();
+        assert!(together.missing.is_empty() && together.standings.len() == alone.standings.len());
+        for (a, b) in together.standings.iter().zip(&alone.standings) {
+            assert_eq!((&a.label, a.steps, a.trials.len()), (&b.label, b.steps, 2));
+            let scores = |s: &Standing| s.trials.iter().map(|t| (t.seed, t.scores.views.clone())).collect::<Vec<_>>();
+            assert_eq!(scores(a), scores(b));
+        }
+    }
+    let refused = [contest("e", &["static3d"]), contest("f", &["static3d nosuch=1"])];
+    let error = run_all(&refused, 2, &AtomicBool::new(false), &|_, _| panic!("nothing is trained"));
+    assert!(matches!(error, Err(ContestError::Trial(_))) && !folder.path().join("e").exists());
+}
+
+#[test]
 fn missing_foreign_and_unfinished_trials_are_named_and_the_others_stand() {
     let folder = tempfile::tempdir().unwrap();
     let contest = Contest {

@@ -9,7 +9,7 @@ use crate::opening::RunData;
 use crate::parse;
 use crate::progress::Waiting;
 use gs_core::io::{Limits, read_file};
-use gs_data::Split;
+use gs_data::{Dataset, Split};
 use gs_train::evaluate::MaskedScores;
 use gs_train::report::Section;
 use gs4d_eval::compare::{Metric, SetScores};
@@ -17,9 +17,11 @@ use gs4d_eval::folders::{
     FolderScores, FolderTask, Lpips, LpipsRange, Quantise, TofOptions, VideoScore, score, tof_protocol,
 };
 use gs4d_eval::temporal;
+use gs4d_reproduce::carry_columns;
 use gs4d_run::folder::METRICS;
 use gs4d_run::opened::metrics_json;
 use gs4d_run::summary::color_name;
+use gs4d_run::{OpenRun, RunFolder};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -59,9 +61,13 @@ pub struct Eval {
     /// tof: keep the border.
     #[arg(long)]
     no_crop: bool,
-    /// Rounding of images to 8 bit before they are scored, as papers do that score PNG files [default: none].
+    /// Rounding of images to 8 bit before they are scored, as papers do that score PNG files [default: none; round with --half].
     #[arg(long, value_enum)]
     quantise: Option<QuantiseName>,
+    /// Reduce images, truths and masks to half size by means of 2x2 pixels before they are scored (metrics.py --half_res of TRACE's authors); tof is of
+    /// full size. Such scores are not kept with a run.
+    #[arg(long, conflicts_with = "fit_colors")]
+    half: bool,
     /// Adds LPIPS with the weights of this safetensors file: the state of lpips.LPIPS(net="alex") or "vgg"; docs/guide/report.md says how
     /// it is made.
     #[arg(long, value_name = "FILE")]
@@ -186,6 +192,12 @@ impl Eval {
         self.metrics.as_ref().is_some_and(|m| m.contains(&name))
     }
 
+    /// Rounding of images; those of half size are of 8-bit ones.
+    fn quantise(&self) -> Quantise {
+        let default = if self.half { Quantise::Round } else { Quantise::None };
+        self.quantise.map_or(default, Into::into)
+    }
+
     /// Options of tOF; `None` if it is not asked for.
     fn tof(&self) -> Result<Option<TofOptions>, Failure> {
         let asked = self.asks_for(MetricName::Tof);
@@ -200,7 +212,7 @@ impl Eval {
         let device = self.device.open(global)?;
         let mut run = self.place.open(root, global)?;
         run.device = device;
-        run.quantise = self.quantise.map_or(Quantise::None, Into::into);
+        (run.quantise, run.half) = (self.quantise(), self.half);
         run.lpips = self.lpips()?.map(Arc::new);
         run.fit_colors = self.fit_colors;
         let dataset = run.open_data()?;
@@ -214,44 +226,26 @@ impl Eval {
         });
         let motion = motion.transpose()?;
         // The file in the run folder holds the extrapolation scores as well.
-        let kept = self.split == SplitName::Test && self.background.is_none() && run.quantise == Quantise::None;
+        let as_trained = self.background.is_none() && run.quantise == Quantise::None && !self.half;
+        let kept = self.split == SplitName::Test && as_trained;
         let folder = run.folder().ok().filter(|_| kept);
         let scores = match folder {
             Some(_) => run.score_for_folder(&dataset)?,
             None => run.score(&dataset, split, background)?,
         };
-        // What the model says of itself; without events nothing of its training.
-        let section = if global.share.leads() { run.loaded.model.report_section(&[])? } else { None };
         drop(waiting);
         if self.asks_for(MetricName::Masked) && scores.mean.masked.is_none() {
             return Err(Failure::new(Class::Data, "data.mask", "no view of this split has a mask")
                 .remedy("leave masked out of --metrics"));
         }
-        let mut text = all_scores_text(&scores, run.loaded.step);
-        let mut json = metrics_json(&scores, run.loaded.step);
+        let step = run.loaded.step;
+        let mut answer = Answer::new(all_scores_text(&scores, step), metrics_json(&scores, step));
         if let Some((score, options)) = motion {
-            text.push_str(&motion_text(&score, options));
-            json["tof"] = json!(score);
-            json["tof_protocol"] = json!(tof_protocol(options));
+            answer.text.push_str(&motion_text(&score, options));
+            answer.json["tof"] = json!(score);
+            answer.json["tof_protocol"] = json!(tof_protocol(options));
         }
-        if let Some(section) = section {
-            add_section(section, &mut text, &mut json);
-        }
-        if let Some(folder) = folder.filter(|_| global.share.leads()) {
-            // Scores that cannot be kept are printed all the same.
-            if !run.trained_on(&dataset) {
-                let (data, kept) = (dataset.root.display(), root.join(METRICS));
-                to_stderr(format_args!(
-                    "warning: the data at {data} are not those that the run knows: {} is left as it is",
-                    kept.display()
-                ));
-            } else if let Err(e) = folder.write_scores(json.clone(), &dataset) {
-                to_stderr(format_args!("warning: the scores are not kept: {e}"));
-            } else {
-                text.push_str(&format!("-> {}\n", root.join(METRICS).display()));
-            }
-        }
-        Ok(Answer::new(text, json))
+        if global.share.leads() { finish(answer, &run, folder, &dataset, global) } else { Ok(answer) }
     }
 
     fn of_folders(&self, pred: &Path, gt: &Path, global: &Global) -> Result<Answer, Failure> {
@@ -267,7 +261,8 @@ impl Eval {
             metrics: self.metrics.as_ref().map_or(Metric::ALL.to_vec(), named),
             lpips: self.lpips()?,
             tof: self.tof()?,
-            quantise: self.quantise.map_or(Quantise::None, Into::into),
+            quantise: self.quantise(),
+            half: self.half,
             background,
         };
         let scores = score(&task)?;
@@ -298,14 +293,59 @@ pub fn read_lpips(path: &Path, range: RangeName) -> Result<Lpips, Failure> {
     })
 }
 
-/// Adds the method's own statistics to the scores, where it has some.
-fn add_section(section: Section, text: &mut String, json: &mut Value) {
+/// Keeps the scores of a run in its folder, if it has one; then adds what the model says of itself. Where it cannot say it, the scores are kept and printed.
+fn finish(
+    mut answer: Answer,
+    run: &OpenRun,
+    folder: Option<&RunFolder>,
+    dataset: &Dataset,
+    global: &Global,
+) -> Result<Answer, Failure> {
+    let mut kept = folder.filter(|folder| keep(run, folder, &answer.json, dataset));
+    // Without events nothing of its training.
+    match run.loaded.model.report_section(&[]) {
+        Ok(Some(section)) if !section.rows.is_empty() => {
+            add_section(section, &mut answer);
+            kept = kept.filter(|folder| keep(run, folder, &answer.json, dataset));
+        }
+        Ok(_) => {}
+        Err(e) => {
+            answer.print(global.json)?;
+            return Err(e.into());
+        }
+    }
+    if let Some(folder) = kept {
+        answer.text.push_str(&format!("-> {}\n", folder.root().join(METRICS).display()));
+    }
+    Ok(answer)
+}
+
+/// Writes scores into the folder of their run, with the columns of `gs4d reproduce` that are of the same images. Scores that cannot be kept are printed all the
+/// same; returns whether they are kept.
+fn keep(run: &OpenRun, folder: &RunFolder, scores: &Value, dataset: &Dataset) -> bool {
+    if !run.trained_on(dataset) {
+        let (data, kept) = (dataset.root.display(), folder.root().join(METRICS));
+        to_stderr(format_args!(
+            "warning: the data at {data} are not those that the run knows: {} is left as it is",
+            kept.display()
+        ));
+        return false;
+    }
+    let mut scores = scores.clone();
+    carry_columns(folder, &mut scores);
+    let written = folder.write_scores(scores, dataset);
+    if let Err(e) = &written {
+        to_stderr(format_args!("warning: the scores are not kept: {e}"));
+    }
+    written.is_ok()
+}
+
+/// Adds the method's own statistics to the scores.
+fn add_section(section: Section, answer: &mut Answer) {
     for row in &section.rows {
-        text.push_str(&format!("{:26}{:>22}  {}\n", row.name, row.value, row.meaning));
+        answer.text.push_str(&format!("{:26}{:>22}  {}\n", row.name, row.value, row.meaning));
     }
-    if !section.rows.is_empty() {
-        json["section"] = section.json;
-    }
+    answer.json["section"] = section.json;
 }
 
 fn motion_text(score: &VideoScore, options: TofOptions) -> String {

@@ -3,11 +3,11 @@
 use crate::answer::Answer;
 use crate::failure::Failure;
 use crate::global::Global;
+use crate::opening::Reading;
 use clap::ValueEnum;
 use gs_data::avatar::layout::Role;
 use gs_data::avatar::rig::{RigOptions, WrittenCamera, write_rig};
-use gs_data::{DataOptions, Dataset, StartFrom, cube, write_start};
-use gs4d_run::settings::{Request, resolve};
+use gs_data::{Dataset, StartFrom, cube, write_start};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -32,12 +32,8 @@ pub struct Init {
     /// Seed of every random number.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Read the folder with this layout [default: the one that fits].
-    #[arg(long)]
-    layout: Option<String>,
-    /// A setting of the data, data.KEY=VALUE (repeatable).
-    #[arg(long = "set", value_name = "KEY=VALUE")]
-    sets: Vec<String>,
+    #[command(flatten)]
+    reading: Reading,
     /// Write cameras.json of a filmed person from another program's cameras: OpenCV's intri.yml with extri.yml beside it (EasyMocap), or
     /// the folder of a COLMAP model with one image per camera.
     #[arg(long, value_name = "FILE|DIR", conflicts_with_all = ["from", "bound"])]
@@ -82,8 +78,7 @@ impl Init {
             points: POINTS,
             bound: None,
             seed: 0,
-            layout: None,
-            sets: Vec::new(),
+            reading: Reading::default(),
             cameras: None,
             camera_unit: 1.0,
             conditioning: Vec::new(),
@@ -131,16 +126,8 @@ impl Init {
     }
 
     fn points(self, global: &Global) -> Result<Answer, Failure> {
-        if let Some(other) = self.sets.iter().find(|s| !s.starts_with("data.")) {
-            return Err(Failure::usage(format!("`{other}` is no setting of the data")));
-        }
-        // Every method reads its data by the same settings.
-        let method = "static3d".to_owned();
-        let request = Request { method, preset: "fast".into(), sets: self.sets.clone(), ..Request::default() };
-        let options = resolve(gs_methods::registry(), &request)?.data;
-        let options = DataOptions { layout: self.layout.clone().or(options.layout.clone()), ..options };
         // Points that this command wrote before are not those of the data.
-        let mut data = Dataset::open_without_start(&self.data, &options)?;
+        let mut data = Dataset::open_without_start(&self.data, &self.reading.options()?)?;
         let bounds = self.bound.map(cube);
         data.bounds = bounds.or(data.bounds);
         let from = self.from.map(|f| match f {

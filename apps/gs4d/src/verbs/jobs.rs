@@ -7,7 +7,7 @@ use crate::interrupt;
 use crate::output::{check_free, create_folder};
 use crate::progress::Progress;
 use gs_core::io::{folder_of, write_file};
-use gs4d_lab::contest::{Contest, ContestError, Event, Job, Plan, Results, TrialError};
+use gs4d_lab::contest::{Contest, ContestError, Event, Job, Plan, Results, TrialError, run_all};
 use gs4d_run::RunError;
 use serde_json::{Value, json};
 use std::fs;
@@ -93,6 +93,25 @@ impl Jobs {
             results.missing.iter().for_each(|m| to_stderr(format_args!("missing: {m}")));
         }
         Ok(results)
+    }
+
+    /// The results of several contests with these names: trained with a line for each trial, one at a time on each thread, or collected.
+    pub fn all_results(
+        &self,
+        contests: &[Contest],
+        names: &[String],
+        global: &Global,
+    ) -> Result<Vec<Results>, Failure> {
+        if self.collect {
+            return contests.iter().map(|contest| self.results(contest, global)).collect();
+        }
+        let (stop, quiet) = (interrupt::flag()?, global.quiet);
+        let on_event = |of: usize, event: Event| match event {
+            Event::Trial(trial) if !quiet => to_stderr(format_args!("{} / {trial}", names[of])),
+            Event::Failed(trial) => to_stderr(format_args!("failed: {} / {trial}", names[of])),
+            Event::Trial(_) | Event::Step(_) => {}
+        };
+        run_all(contests, rayon::current_num_threads(), &stop, &on_event).map_err(failure)
     }
 
     /// The answer; if trials have no result, prints it and fails.

@@ -6,6 +6,7 @@ pub mod compare;
 pub mod config;
 pub mod contest;
 pub mod continual;
+pub mod covisible;
 pub mod demo;
 pub mod doctor;
 pub mod eval;

@@ -1,5 +1,7 @@
 //! `gs4d reproduce`: the tables of the papers, run here.
 
+mod nightly;
+
 use super::eval::{RangeName, read_lpips};
 use super::jobs::{Jobs, ResultFile, check_seeds, with_missing};
 use crate::answer::Answer;
@@ -10,9 +12,11 @@ use crate::parse;
 use gs_core::io::write_file;
 use gs4d_eval::folders::Lpips;
 use gs4d_lab::aligned;
-use gs4d_lab::contest::{Length, Results};
+use gs4d_lab::contest::{Contest, Length, Results};
 use gs4d_reproduce::documents::Listed;
-use gs4d_reproduce::{Beside, Conditions, DataSet, ReproduceError, Reproduction, Table, TableError, documents, page};
+use gs4d_reproduce::{
+    Beside, Conditions, DataSet, Outcome, ReproduceError, Reproduction, Table, TableError, documents, page,
+};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -20,9 +24,9 @@ use std::time::Duration;
 /// Run a table of one of the papers, published figures beside; without a table, list them
 #[derive(clap::Args)]
 pub struct ReproduceVerb {
-    /// fags, modec, trace or dut.
+    /// fags, modec, trace or dut; or nightly: the papers' orders on few generated scenes, small enough for a night.
     paper: Option<String>,
-    /// Name of the table; without -o it is shown, not run.
+    /// Name of the table; without -o it is shown, not run. Of nightly PAPER-TABLE [default: all of it].
     #[arg(requires = "paper")]
     table: Option<String>,
     /// A folder that holds the papers' data sets (repeatable). Where no scene of a table is there, generated ones are run.
@@ -34,8 +38,8 @@ pub struct ReproduceVerb {
     /// Entries, by their names in the table; the others are compared with the first [default: all].
     #[arg(long, value_delimiter = ',', value_name = "NAME")]
     entries: Vec<String>,
-    /// Seeds; everything runs once with each.
-    #[arg(long, value_delimiter = ',', default_value = "0,1,2")]
+    /// Seeds; everything runs once with each [default: 0,1,2; nightly: 0,1,2,3,4].
+    #[arg(long, value_delimiter = ',')]
     seeds: Vec<u64>,
     /// Preset of all entries: fast (minutes), or published for the recipe of each entry in its paper (days on a CPU).
     #[arg(long, default_value = "fast")]
@@ -57,7 +61,7 @@ pub struct ReproduceVerb {
     #[arg(long, value_name = "FILE")]
     lpips: Vec<PathBuf>,
     /// Folder of generated scenes, trials and results; finished trials in it are not trained again.
-    #[arg(short, long, value_name = "DIR", requires = "table")]
+    #[arg(short, long, value_name = "DIR", requires = "paper")]
     out: Option<PathBuf>,
     #[command(flatten)]
     jobs: Jobs,
@@ -75,25 +79,38 @@ impl ReproduceVerb {
         if let Some(root) = &self.check {
             return check(root, global);
         }
+        if self.paper.as_deref() == Some(nightly::NAME) {
+            return nightly::run(self, global);
+        }
         let (Some(paper), Some(name)) = (&self.paper, &self.table) else {
+            if self.out.is_some() {
+                return Err(Failure::usage("no table to run").remedy("name one; gs4d reproduce lists them"));
+            }
             return list(self.paper.as_deref(), &self.data);
         };
         let table = Table::find(paper, name).map_err(unknown)?;
+        let Some(root) = self.out.clone() else {
+            check_seeds(&self.seeds)?;
+            return shown(&table, &self.data);
+        };
+        let reproduction = Reproduction::new(table, self.conditions(root, &[0, 1, 2])?).map_err(failure)?;
+        reproduce(&reproduction, &weights(&self.lpips)?, &self.jobs, global)
+    }
+
+    /// The conditions that were asked for, in a folder, with these seeds where none was.
+    fn conditions(&self, root: PathBuf, seeds: &[u64]) -> Result<Conditions, Failure> {
         check_seeds(&self.seeds)?;
-        let Some(root) = self.out else { return shown(&table, &self.data) };
-        let conditions = Conditions {
-            data: self.data,
-            scenes: self.scenes,
-            entries: self.entries,
-            seeds: self.seeds,
-            preset: (self.preset != "published").then_some(self.preset),
+        Ok(Conditions {
+            data: self.data.clone(),
+            scenes: self.scenes.clone(),
+            entries: self.entries.clone(),
+            seeds: if self.seeds.is_empty() { seeds.to_vec() } else { self.seeds.clone() },
+            preset: (self.preset != "published").then(|| self.preset.clone()),
             length: Length::of(self.time_budget, self.steps),
             scale: self.scale,
-            sets: self.sets,
+            sets: self.sets.clone(),
             root,
-        };
-        let weights = weights(&self.lpips)?;
-        reproduce(&Reproduction::new(table, conditions).map_err(failure)?, &weights, &self.jobs, global)
+        })
     }
 }
 
@@ -115,29 +132,50 @@ fn weights(files: &[PathBuf]) -> Result<Vec<Lpips>, Failure> {
 
 fn reproduce(reproduction: &Reproduction, weights: &[Lpips], jobs: &Jobs, global: &Global) -> Result<Answer, Failure> {
     let root = &reproduction.conditions.root;
-    create_folder(&root.join("data"))?;
-    reproduction.prepare().map_err(gs4d_run::RunError::from)?;
-    let contests = reproduction.contests(gs_methods::registry()).map_err(unknown)?;
+    let contests = contests(reproduction)?;
     if let Some(list) = jobs.plan(&contests, global)? {
         return Ok(list);
     }
     jobs.check_results(root, &FILES)?;
     let results: Vec<Results> = contests.iter().map(|c| jobs.results(c, global)).collect::<Result<_, _>>()?;
-    let mut say = |run: &Path| global.say(format!("LPIPS and tOF of {}", run.display()));
-    let beside = Beside::measure(reproduction, &results, gs_methods::registry(), weights, &mut say)?;
+    let outcome = outcome(reproduction, &results, weights, global)?;
     let none_stands = results.iter().all(Results::none_stands);
-    let outcome = reproduction.outcome(&results, &beside);
     let missing: Vec<_> = results.into_iter().flat_map(|r| r.missing).collect();
     let json = with_missing(json!(outcome), &missing);
     let mut text = String::new();
     if !none_stands {
         text.push_str(&page::text(&outcome));
-        for ((name, _), content) in FILES.iter().zip([format!("{json:#}\n"), page::html(&outcome)]) {
-            write_file(&root.join(name), true, |out| out.write_all(content.as_bytes()))?;
-        }
+        write_page(root, &outcome, &json)?;
         text.push_str(&format!("-> {}\n", root.join("reproduce.html").display()));
     }
     jobs.judge(Answer::new(text, json), missing, global)
+}
+
+/// Writes the generated scenes of a table; its contests.
+fn contests(reproduction: &Reproduction) -> Result<Vec<Contest>, Failure> {
+    create_folder(&reproduction.conditions.root.join("data"))?;
+    reproduction.prepare().map_err(gs4d_run::RunError::from)?;
+    reproduction.contests(gs_methods::registry()).map_err(unknown)
+}
+
+/// Our figures of a table beside the published ones, with the scores that training does not give.
+fn outcome(
+    reproduction: &Reproduction,
+    results: &[Results],
+    weights: &[Lpips],
+    global: &Global,
+) -> Result<Outcome, Failure> {
+    let mut say = |run: &Path| global.say(format!("LPIPS and tOF of {}", run.display()));
+    let beside = Beside::measure(reproduction, results, gs_methods::registry(), weights, &mut say)?;
+    Ok(reproduction.outcome(results, &beside))
+}
+
+/// Writes the page of a table into its folder.
+fn write_page(root: &Path, outcome: &Outcome, json: &Value) -> Result<(), Failure> {
+    for ((name, _), content) in FILES.iter().zip([format!("{json:#}\n"), page::html(outcome)]) {
+        write_file(&root.join(name), true, |out| out.write_all(content.as_bytes()))?;
+    }
+    Ok(())
 }
 
 /// The tables, with the number of their scenes that are there.
@@ -161,7 +199,8 @@ fn list(paper: Option<&str>, roots: &[PathBuf]) -> Result<Answer, Failure> {
     }
     let head = ["paper", "table", "shows", "printed in", "scenes here"];
     let text = aligned(&head, &rows, |_| true)
-        + "\nshow one: gs4d reproduce PAPER TABLE; run it: -o DIR, with --data DIR where its scenes are\n";
+        + "\nshow one: gs4d reproduce PAPER TABLE; run it: -o DIR, with --data DIR where its scenes are\n\
+           the papers' orders on few generated scenes: gs4d reproduce nightly\n";
     Ok(Answer::new(text, json!(values)))
 }
 

@@ -5,7 +5,7 @@ use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
 use crate::opening::{RunData, note_extrapolated};
-use crate::output::{check_free, create_folder};
+use crate::output::{check_free, create_folder, stems};
 use crate::parse;
 use crate::progress::Progress;
 use gs_core::io::images::{save_png, write_png8};
@@ -13,7 +13,6 @@ use gs_core::io::{npy, write_file};
 use gs_data::{Dataset, Split, View};
 use gs_synth as synth;
 use gs_train::evaluate::split_name;
-use gs_train::renderer::file_stem;
 use gs4d_eval::Placing;
 use gs4d_eval::segment::{
     self, Complexity, Count, Feature, Labels, Options, Part, Scores, SegmentError, Source, TrueLabels, ViewMask, parts,
@@ -21,7 +20,6 @@ use gs4d_eval::segment::{
 };
 use gs4d_run::OpenRun;
 use serde_json::{Value, json};
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// What can be segmented.
@@ -249,15 +247,6 @@ fn motion_json(m: &Complexity) -> Value {
         "tracks": m.tracks,
         "moving": m.moving,
     })
-}
-
-/// A file name per view; numbered if two views have the same name.
-fn stems(views: &[View]) -> Vec<String> {
-    let own: Vec<String> = views.iter().map(|v| file_stem(&v.name)).collect();
-    if own.iter().collect::<BTreeSet<_>>().len() == own.len() {
-        return own;
-    }
-    own.iter().enumerate().map(|(k, stem)| format!("{k:04}_{stem}")).collect()
 }
 
 fn text(

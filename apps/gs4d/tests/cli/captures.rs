@@ -31,7 +31,7 @@ fn write_image(scene: &SynthData, camera: &Camera, t: f64, file: &Path) {
 }
 
 /// The scene as HyperNeRF writes it: one moving camera, every third picture held out.
-fn write_hypernerf(dir: &Path) {
+pub fn write_hypernerf(dir: &Path) {
     let scene = scene();
     let id = |k: usize| format!("{k:06}");
     let views = &scene.dataset.train;

@@ -44,6 +44,21 @@ fn a_run_and_a_folder_have_the_same_lpips_and_it_stays_with_the_run() {
         let [a, b] = [&of_run, &of_folder].map(|j| j["mean"][score].as_f64().unwrap());
         assert!((a / b - 1.0).abs() < 1e-6, "{score}: {a} {b}");
     }
+
+    // At half size both are scored from 8 bit, and nothing is kept.
+    let half = ["--half", "--json"];
+    let halved = good(&[&["eval", text(&own)][..], &half].concat()).json();
+    let of_folder = good(&[&folders[..], &half].concat()).json();
+    for protocol in [&halved, &of_folder].map(|j| j["protocol"].as_str().unwrap()) {
+        assert!(protocol.contains("rounded to 8 bit") && protocol.contains("half size"), "{protocol}");
+    }
+    for score in ["psnr", "ssim"] {
+        let [a, b, full] = [&halved, &of_folder, &of_run].map(|j| j["mean"][score].as_f64().unwrap());
+        assert!((a / b - 1.0).abs() < 1e-6 && (a / full - 1.0).abs() > 1e-5, "{score}: {a} {b} {full}");
+    }
+    let after = fs::read_to_string(own.join("metrics.json")).unwrap();
+    assert_eq!(serde_json::from_str::<serde_json::Value>(&after).unwrap(), kept);
+    gs4d(&["eval", text(&own), "--half", "--fit-colors"]).fails(2, &["--half", "--fit-colors"]);
 }
 
 #[test]

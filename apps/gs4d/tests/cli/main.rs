@@ -6,6 +6,7 @@ mod cluster;
 mod compact;
 mod compare;
 mod contest;
+mod covisible;
 mod device;
 mod doctor;
 mod export;

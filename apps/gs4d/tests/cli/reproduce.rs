@@ -153,6 +153,38 @@ fn generated_scenes_stand_in_and_are_averaged() {
 }
 
 #[test]
+fn the_papers_orders_are_listed_run_and_go_on() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out");
+    let list = good(&["reproduce", "nightly"]).out;
+    let row = |name: &str| list.lines().find(|l| l.starts_with(name)).unwrap_or_else(|| panic!("{list}")).to_owned();
+    assert!(row("fags-ablation").contains("waves-a") && row("modec-settings").contains(" 35 "), "{list}");
+    gs4d(&["reproduce", "nightly", "--scenes", "waves-a"]).fails(2, &["--scenes"]);
+    gs4d(&["reproduce", "nightly", "fags-dnerf"]).fails(2, &["`fags-dnerf`", "trace-ablation-object"]);
+    gs4d(&["reproduce", "fags", "-o", text(&out)]).fails(2, &["no table"]);
+
+    scene(&out.join("fags-ablation/data/waves-a"));
+    let base = ["reproduce", "nightly", "fags-ablation", "--preset", "tiny", "--steps", "2", "--seeds", "0,1,2"];
+    let with = |call: fn(&[&str]) -> Call, more: &[&str]| call(&[&base[..], &["-o", text(&out)], more].concat());
+    let call = with(gs4d, &["--collect"]);
+    assert!(call.code == 7 && call.err.contains("trials without a result: 24"), "{}", call.err);
+    assert!(!out.join("nightly.md").exists(), "a page of nothing");
+    let call = with(good, &[]);
+    assert!(call.out.contains("Of 7 published orders, on waves-a, "), "{}", call.out);
+    assert!(call.err.contains("fags-ablation / waves-a / fags:tiny "), "{}", call.err);
+    let page = fs::read_to_string(out.join("nightly.md")).unwrap();
+    assert!(call.out.starts_with(&page) && out.join("fags-ablation/reproduce.html").is_file());
+
+    let entry = fs::read_dir(out.join("fags-ablation/waves-a")).unwrap().next().unwrap().unwrap().path();
+    fs::remove_dir_all(entry.join("seed-1")).unwrap();
+    let call = with(gs4d, &["--collect", "--json"]);
+    let json: Value = serde_json::from_str(&call.out).unwrap();
+    assert!(call.code == 7 && json["missing"].as_array().unwrap().len() == 1, "{}", call.err);
+    with(good, &[]);
+    assert_eq!(fs::read_to_string(out.join("nightly.md")).unwrap(), page);
+}
+
+#[test]
 fn documents_of_another_folder_are_refused_and_ours_are_not_old() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let json = good(&["reproduce", "--check", text(&root), "--json"]).json();

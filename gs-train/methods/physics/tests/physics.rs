@@ -33,7 +33,7 @@ fn trainer(data: &Arc<Dataset>, method: &str, over: &str) -> Trainer {
 }
 
 /// Preset `fast` in 0.28 of its length, 4500 of 16000 steps, with few splats.
-const SHORT: &str = "
+const PART: &str = "
 init.points = 1500
 [schedule]
 sh_every = 169
@@ -59,10 +59,10 @@ fn particles(trainer: &Trainer) -> Particles {
     trainer.model().capabilities().particles.expect("a law").particles()
 }
 
-/// A trainer after [`SHORT`].
+/// A trainer after [`PART`].
 fn short(data: &Arc<Dataset>, method: &str, over: &str) -> Trainer {
     let registry = gs_methods::registry();
-    let mut trainer = start(registry, data, method, &config(registry, method, "fast", &[SHORT, over]), 1);
+    let mut trainer = start(registry, data, method, &config(registry, method, "fast", &[PART, over]), 1);
     run(&mut trainer, 4500);
     trainer
 }

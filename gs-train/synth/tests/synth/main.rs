@@ -1,4 +1,5 @@
 //! Generated scenes and their mechanics.
 
+mod covisible;
 mod mechanics;
 mod scenes;
