@@ -65,7 +65,7 @@ fn of_table(table: &Table, conditions: &Conditions) -> Option<Conditions> {
 pub fn markdown(outcomes: &[Outcome]) -> String {
     let head = "Differences of the first column of each table, pairs of the same scene and seed, ± half the 95 % interval of their mean by Student's t: over pairs, or over \
                 the means of scenes where there are three. An order holds where the interval lies on the published side of 0, does not hold where it lies on the \
-                other side, and is not told apart where it holds 0 or there are fewer than three pairs. Generated scenes stand in for the papers' and have no masks: masked \
+                other side, and is inconclusive where it holds 0 or there are fewer than three pairs. Generated scenes stand in for the papers' and have no masks: masked \
                 columns are of whole images.";
     let tables: String = outcomes.iter().map(of_outcome).collect();
     format!("# {TITLE}\n\n{head}\n{tables}")
@@ -96,7 +96,7 @@ fn row(order: &Order, unit: &str) -> String {
     let verdict = match (published, verdict) {
         (_, Some(Verdict::AsPublished)) => "holds",
         (_, Some(Verdict::Opposite)) => "does not hold",
-        (_, Some(Verdict::NotShown)) => "not told apart",
+        (_, Some(Verdict::NotShown)) => "inconclusive",
         (None, None) => "not published",
         (Some(_), None) => "not run",
     };
@@ -118,7 +118,7 @@ pub fn sentence(outcome: &Outcome) -> String {
     let parts = [
         part(Some(Verdict::AsPublished), ["holds", "hold"]),
         part(Some(Verdict::Opposite), ["does not hold", "do not hold"]),
-        part(Some(Verdict::NotShown), ["is not told apart", "are not told apart"]),
+        part(Some(Verdict::NotShown), ["is inconclusive", "are inconclusive"]),
         part(None, ["was not run", "were not run"]),
     ];
     let parts = parts.into_iter().flatten().collect::<Vec<_>>().join(", ");
@@ -263,7 +263,7 @@ mod tests {
             ],
             not_run: Vec::new(),
         };
-        let said = "Of 5 published orders, on waves-a, 2 hold (a; d), 1 does not hold (b), 1 is not told apart (c), 1 was not run (e).";
+        let said = "Of 5 published orders, on waves-a, 2 hold (a; d), 1 does not hold (b), 1 is inconclusive (c), 1 was not run (e).";
         assert_eq!(sentence(&outcome), said);
         let page = markdown(std::slice::from_ref(&outcome));
         for part in [

@@ -397,7 +397,7 @@ mod tests {
     }
 
     #[test]
-    fn weight_files_are_told_apart_by_what_they_hold() {
+    fn weight_files_are_known_by_what_they_hold() {
         let dir = tempfile::tempdir().unwrap();
         let of = |name: &str, held: &str| {
             let file = dir.path().join(name);

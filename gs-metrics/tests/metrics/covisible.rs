@@ -100,7 +100,7 @@ fn a_camera_and_things_at_rest_are_wholly_co_visible() {
         assert!(all.counts.iter().all(|n| *n == 6) && all.mask(rule.needed(6)).data.iter().all(|m| *m == 1.0));
         assert!(all.mask(7).data.iter().all(|m| *m == 0.0), "no more than there are");
     }
-    // The second photograph of a camera at rest has other noise: of half a step of 8 bits here.
+    // The second image of a camera at rest has other noise: of half a step of 8 bits here.
     let other = Image {
         data: image.data.iter().enumerate().map(|(k, v)| v + (k % 3) as f32 / 765.0).collect(),
         ..image.clone()

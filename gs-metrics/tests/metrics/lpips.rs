@@ -39,7 +39,7 @@ fn distances_are_those_of_the_package() {
     }
 }
 
-/// Files of one network are told apart by what stands beside each value.
+/// What stands beside each value names the file of a network.
 #[test]
 fn weights_name_their_file() {
     let bytes = file(&alex());
