@@ -145,6 +145,11 @@ impl Canonical {
         learns && !(self.at.deform_only && parameter.starts_with("field.scales."))
     }
 
+    /// The rules of densification.
+    pub fn rules(&self) -> &DensifyRules {
+        &self.rules
+    }
+
     /// The bounds of densification.
     pub fn growth(&self) -> GrowthLimits {
         self.rules.growth()

@@ -263,14 +263,10 @@ impl Densify {
 
     /// Adds one frame of `width × height` pixels. Gradients that are not finite count as zero.
     pub fn accumulate(&mut self, seen: &ScreenStats, width: u32, height: u32) {
-        let (half_w, half_h) = (0.5 * width as f32, 0.5 * height as f32);
-        for (i, (g, &radius)) in seen.grad_means2d.iter().zip(&seen.radii).enumerate() {
-            if radius > 0.0 {
-                let norm = (g[0] * half_w).hypot(g[1] * half_h);
-                self.grad_sum[i] += if norm.is_finite() { norm } else { 0.0 };
-                self.seen[i] += 1.0;
-                self.max_radius[i] = self.max_radius[i].max(radius.ceil());
-            }
+        for (i, norm) in screen_gradients(seen, width, height) {
+            self.grad_sum[i] += norm;
+            self.seen[i] += 1.0;
+            self.max_radius[i] = self.max_radius[i].max(seen.radii[i].ceil());
         }
     }
 
@@ -362,6 +358,17 @@ impl Densify {
             }
         }
     }
+}
+
+/// The splats that a frame of `width × height` pixels shows, and the norms of their screen gradients, half-image units: 0 where one is
+/// not finite.
+pub(crate) fn screen_gradients(seen: &ScreenStats, width: u32, height: u32) -> impl Iterator<Item = (usize, f32)> {
+    let (half_w, half_h) = (0.5 * width as f32, 0.5 * height as f32);
+    let rows = seen.grad_means2d.iter().zip(&seen.radii).enumerate();
+    rows.filter(|(_, (_, radius))| **radius > 0.0).map(move |(i, (g, _))| {
+        let norm = (g[0] * half_w).hypot(g[1] * half_h);
+        (i, if norm.is_finite() { norm } else { 0.0 })
+    })
 }
 
 /// Moves a copied row to a sample of its own Gaussian, `μ + R (s ⊙ ε)`, and shrinks it.

@@ -11,6 +11,9 @@ pub struct Decision {
     pub step: u32,
     /// Number of still splats.
     pub still: usize,
+    /// Number of those that were left out and enter the field again, for their mean screen gradient was large.
+    #[serde(default)]
+    pub entered: usize,
     /// Number of all splats.
     pub splats: usize,
 }
@@ -35,11 +38,13 @@ pub fn section(events: &[Value]) -> Option<Section> {
     };
     let value = format!("{} of {} ({:.1} %)", last.still, last.splats, last.share());
     let meaning = format!("left out of the field while training; last decided after step {}", last.step);
+    let why = "were left out; take part until the next decision, for their mean screen gradient was large";
+    let entered = ReportRow::new("entered again", last.entered.to_string(), why);
     Some(Section {
         title: "Still splats".into(),
         remark: "Splats that the field hardly moves are left out of it for most of the training.".into(),
         charts: vec![course],
-        rows: vec![ReportRow::new("still splats", value, &meaning)],
+        rows: vec![ReportRow::new("still splats", value, &meaning), entered],
         json: json!({ "still": last }),
         ..Section::default()
     })
@@ -52,10 +57,11 @@ mod tests {
     #[test]
     fn the_last_decision_is_named_and_all_are_drawn() {
         let first = json!({ "step": 200, "still": 0, "splats": 30 });
-        let events = [first, json!({ "step": 300, "moved": 1 }), json!({ "step": 400, "still": 10, "splats": 40 })];
+        let last = json!({ "step": 400, "still": 10, "entered": 3, "splats": 40 });
+        let events = [first, json!({ "step": 300, "moved": 1 }), last];
         let section = section(&events).unwrap();
         assert_eq!(section.charts[0].curves[0].points, [(200.0, 0.0), (400.0, 25.0)]);
-        assert_eq!(section.rows[0].value, "10 of 40 (25.0 %)");
+        assert_eq!([&section.rows[0].value, &section.rows[1].value], ["10 of 40 (25.0 %)", "3"]);
         assert_eq!(section.json["still"], events[2]);
         assert_eq!(super::section(&events[1..2]), None);
     }

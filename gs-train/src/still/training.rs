@@ -5,19 +5,22 @@
 //! still                 ½ ‖high − low‖ of the mean ≤ `pixels` on the screen of every view yet rendered, shape within `shape`
 //! a still splat         is rendered at x + o; its gradient goes straight to x
 //! every `turn` steps    it takes part in the field, which so goes on learning from it, a different part of them in each step
+//! enters again          until the next decision, if mean |screen gradient| > `density.grad` over the views rendered at x + o
 //! ```
 //! The first share `from` of a stage and the last share `1 − until` leave out none: the field first learns what moves, and what the
 //! run ends with is the field's. A splat that no view has shown is still only if its centre does not move at all.
 
 use super::{fold, shape_change};
+use crate::densify::screen_gradients;
 use crate::method::{Buffer, BufferMut, Merge};
 use crate::step::StepCtx;
 use glam::{Vec3, Vec4};
-use gs_core::{Camera, Geometry, GeometryRef, Time};
+use gs_core::{Camera, Geometry, GeometryRef, Time, cast};
 use gs_raster::ScreenStats;
 use serde::{Deserialize, Serialize};
 
-/// Which splats are left out of the field while training, and when; by default none is.
+/// Which splats are left out of the field while training, and when; by default none is. One enters again where its mean screen gradient
+/// since the last decision is above [`DensifyRules::grad`](crate::densify::DensifyRules::grad).
 #[derive(Clone, Copy, Debug, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StillConfig {
@@ -39,6 +42,8 @@ pub struct StillConfig {
 
 /// Values of a row of `still.pose`: whether it is still, shifts of mean and quaternion, factors of scales.
 const POSE: usize = 11;
+/// Values of a row of `still.loss`.
+const LOSS: usize = 2;
 
 /// The still splats of a cloud under training.
 #[derive(Clone, Debug)]
@@ -50,6 +55,9 @@ pub struct StillRows {
     pose: Vec<f32>,
     /// `[n, 1]`: most pixels that a shift of one world unit made on the screen of a view.
     reach: Vec<f32>,
+    /// `[n, 2]`, since the last decision: sum of the norms of the screen gradient, half-image units, over the views that showed a splat
+    /// left out, and their number.
+    loss: Vec<f32>,
     /// The rows that take part in the field in this step, unless all do.
     rows: Option<Vec<u32>>,
     picked: Geometry,
@@ -60,8 +68,9 @@ impl StillRows {
     /// For `n` splats, none of them still. Training times end at `last_time`, normalised.
     pub fn new(config: StillConfig, n: usize, last_time: f32) -> Self {
         let n = if config.pixels > 0.0 { n } else { 0 };
-        let (pose, reach, (picked, moved)) = (vec![0.0; n * POSE], vec![0.0; n], Default::default());
-        Self { config, last_time, pose, reach, rows: None, picked, moved }
+        let [pose, reach, loss] = [POSE, 1, LOSS].map(|width| vec![0.0; n * width]);
+        let (picked, moved) = Default::default();
+        Self { config, last_time, pose, reach, loss, rows: None, picked, moved }
     }
 
     /// Whether any splat may be left out.
@@ -125,7 +134,7 @@ impl StillRows {
         d_canonical.scatter(&d_picked, rows);
     }
 
-    /// Notes how far on the screen of a view a shift of its splats goes.
+    /// Notes how far on the screen of a view a shift of its splats goes, and the screen gradients of those left out of the field.
     /// ```text
     /// pixels ≤ f / z · (1 + tan(fov/2)) · shift        for shifts ≪ z
     /// ```
@@ -137,10 +146,14 @@ impl StillRows {
         let [x, y] = [camera.cx.max(width - camera.cx) / camera.fx, camera.cy.max(height - camera.cy) / camera.fy];
         let focal = (camera.fx.max(camera.fy) * (1.0 + x.max(y))) as f32;
         let (axis, shift) = (camera.rotation.row(2).as_vec3(), camera.translation.z as f32);
-        let visible = moved.means.iter().zip(&stats.radii).zip(&mut self.reach);
-        for ((mean, _), reach) in visible.filter(|((_, radius), _)| **radius > 0.0) {
-            let depth = axis.dot(*mean) + shift;
-            *reach = reach.max(if depth > 0.0 { focal / depth } else { f32::INFINITY });
+        let left_out = |row: u32| self.rows.as_ref().is_some_and(|rows| rows.binary_search(&row).is_err());
+        for (i, norm) in screen_gradients(stats, camera.width, camera.height) {
+            let depth = axis.dot(moved.means[i]) + shift;
+            self.reach[i] = self.reach[i].max(if depth > 0.0 { focal / depth } else { f32::INFINITY });
+            if left_out(cast::to_u32(i)) {
+                self.loss[LOSS * i] += norm;
+                self.loss[LOSS * i + 1] += 1.0;
+            }
         }
     }
 
@@ -149,8 +162,14 @@ impl StillRows {
         self.on() && self.open(at) && at.step.is_multiple_of(self.config.every.max(1))
     }
 
-    /// Decides anew which splats are still: `probe` writes what the field makes of all splats at a time. Returns their number.
-    pub fn decide(&mut self, canonical: GeometryRef<'_>, mut probe: impl FnMut(Time, &mut Geometry)) -> usize {
+    /// Decides anew which splats are still: `probe` writes what the field makes of all splats at a time. Those left out so far whose
+    /// mean screen gradient is above `grad`, half-image units, enter again. Returns the numbers of both.
+    pub fn decide(
+        &mut self,
+        canonical: GeometryRef<'_>,
+        grad: f32,
+        mut probe: impl FnMut(Time, &mut Geometry),
+    ) -> (usize, usize) {
         let gaps = self.config.probes.max(2) - 1;
         let (mut low, mut high) = <(Geometry, Geometry)>::default();
         for p in 0..=gaps {
@@ -163,44 +182,52 @@ impl StillRows {
             fold(&mut high, &self.moved, f32::max);
         }
         let StillConfig { pixels, shape, .. } = self.config;
-        let mut count = 0;
-        for (i, row) in self.pose.chunks_exact_mut(POSE).enumerate() {
+        let (mut count, mut entered) = (0, 0);
+        for (i, (row, loss)) in self.pose.chunks_exact_mut(POSE).zip(self.loss.chunks_exact(LOSS)).enumerate() {
             let [quat_low, quat_high] = [&low, &high].map(|g| Vec4::from(g.quats[i]));
             let (mean, quat) = (0.5 * (low.means[i] + high.means[i]), 0.5 * (quat_low + quat_high));
             let scales = 0.5 * (low.scales[i] + high.scales[i]);
             let way = 0.5 * low.means[i].distance(high.means[i]);
             let change = shape_change((high.scales[i], high.quats[i]), (scales, quat.to_array()));
             let known = way == 0.0 || self.reach[i] > 0.0;
-            let still = known && way * self.reach[i] <= pixels && change <= shape;
+            let enters = loss[0] > grad * loss[1];
+            let still = !enters && known && way * self.reach[i] <= pixels && change <= shape;
             row[0] = f32::from(u8::from(still));
             row[1..4].copy_from_slice(&(mean - canonical.means[i]).to_array());
             row[4..8].copy_from_slice(&(quat - Vec4::from(canonical.quats[i])).to_array());
             row[8..].copy_from_slice(&(scales / canonical.scales[i]).to_array());
             count += usize::from(still);
+            entered += usize::from(enters);
         }
-        count
+        self.loss.fill(0.0);
+        (count, entered)
     }
 
     /// The columns of the splats and their widths, for edits of rows; none where none is ever left out.
     pub fn columns_mut(&mut self) -> Vec<(&mut Vec<f32>, usize)> {
-        if self.on() { vec![(&mut self.pose, POSE), (&mut self.reach, 1)] } else { Vec::new() }
+        if !self.on() {
+            return Vec::new();
+        }
+        vec![(&mut self.pose, POSE), (&mut self.reach, 1), (&mut self.loss, LOSS)]
     }
 
     /// What checkpoints keep.
     pub fn buffers(&self, f: &mut dyn FnMut(Buffer<'_>)) {
         if self.on() {
-            let [pose, reach] = [&self.pose, &self.reach];
+            let [pose, reach, loss] = [&self.pose, &self.reach, &self.loss];
             f(Buffer { name: "still.pose", row_width: Some(POSE), merge: Merge::Keep, values: pose });
             f(Buffer { name: "still.reach", row_width: Some(1), merge: Merge::Max, values: reach });
+            f(Buffer { name: "still.loss", row_width: Some(LOSS), merge: Merge::Sum, values: loss });
         }
     }
 
     /// The same, to be restored.
     pub fn buffers_mut(&mut self, f: &mut dyn FnMut(BufferMut<'_>)) {
         if self.on() {
-            let [pose, reach] = [&mut self.pose, &mut self.reach];
+            let [pose, reach, loss] = [&mut self.pose, &mut self.reach, &mut self.loss];
             f(BufferMut { name: "still.pose", row_width: Some(POSE), merge: Merge::Keep, values: pose });
             f(BufferMut { name: "still.reach", row_width: Some(1), merge: Merge::Max, values: reach });
+            f(BufferMut { name: "still.loss", row_width: Some(LOSS), merge: Merge::Sum, values: loss });
         }
     }
 
@@ -241,7 +268,7 @@ mod tests {
         let mut rows = StillRows::new(config, 4, 1.0);
         rows.reach.fill(100.0);
         let canonical = canonical();
-        assert_eq!(rows.decide(canonical.view(), |t, out| swing(t, canonical.view(), out)), 2);
+        assert_eq!(rows.decide(canonical.view(), 0.0, |t, out| swing(t, canonical.view(), out)), (2, 0));
         rows
     }
 
@@ -264,7 +291,7 @@ mod tests {
     fn what_no_view_has_shown_rests_only_if_its_centre_does_not_move() {
         let (mut rows, canonical) = (decided(), canonical());
         rows.reach.fill(0.0);
-        assert_eq!(rows.decide(canonical.view(), |t, out| swing(t, canonical.view(), out)), 1);
+        assert_eq!(rows.decide(canonical.view(), 0.0, |t, out| swing(t, canonical.view(), out)), (1, 0));
         assert!(rows.flags().eq([true, false, false, false]));
     }
 
@@ -294,12 +321,37 @@ mod tests {
         assert_eq!(d.quats, [[1.0; 4], [1.0; 4], [0.0; 4], [0.0; 4]]);
     }
 
+    /// Half the image is 50 pixels wide: the means of rows 0 and 1 are 25 and 150 half-image units.
+    #[test]
+    fn a_still_splat_of_large_screen_gradient_takes_part_until_the_next_decision() {
+        let (mut rows, canonical) = (decided(), canonical());
+        let camera = Camera::look_at(100, 80, 0.8, glam::DVec3::Z * 4.0, glam::DVec3::ZERO, glam::DVec3::Y).unwrap();
+        let see = |rows: &mut StillRows, at: u32, gradients: [f32; 4]| {
+            rows.begin_step(&step(at));
+            let grad_means2d = gradients.map(|g| [g, 0.0]).to_vec();
+            rows.see(&canonical, &ScreenStats { grad_means2d, radii: vec![1.0; 4] }, &camera);
+        };
+        see(&mut rows, 8, [0.0, 1.0, 9.0, 9.0]);
+        see(&mut rows, 9, [1.0, 5.0, 9.0, 9.0]);
+        see(&mut rows, 6, [0.5, 0.0, 9.0, 9.0]);
+        assert_eq!(rows.loss, [75.0, 3.0, 300.0, 2.0, 0.0, 0.0, 0.0, 0.0], "row 1 takes part in step 6");
+        let decide = |rows: &mut StillRows| {
+            let numbers = rows.decide(canonical.view(), 50.0, |t, out| swing(t, canonical.view(), out));
+            (numbers, rows.flags().collect::<Vec<_>>())
+        };
+        assert_eq!(decide(&mut rows), ((1, 1), vec![true, false, false, false]));
+        assert_eq!(rows.loss, [0.0; 8]);
+        rows.begin_step(&step(8));
+        assert_eq!(rows.rows, Some(vec![1, 2, 3]));
+        assert_eq!(decide(&mut rows), ((2, 0), vec![true, true, false, false]), "the probe decides again");
+    }
+
     #[test]
     fn a_view_tells_how_far_a_shift_goes_on_its_screen() {
         let mut rows = StillRows::new(StillConfig { pixels: 1.0, ..StillConfig::default() }, 2, 1.0);
         let camera = Camera::look_at(200, 160, 0.8, glam::DVec3::Z * 4.0, glam::DVec3::ZERO, glam::DVec3::Y).unwrap();
         let moved = Geometry { means: vec![Vec3::new(0.3, 0.2, 0.1); 2], ..Geometry::zeros(2) };
-        let stats = ScreenStats { radii: vec![3.0, 0.0], ..ScreenStats::default() };
+        let stats = ScreenStats { grad_means2d: vec![[0.0; 2]; 2], radii: vec![3.0, 0.0] };
         rows.see(&moved, &stats, &camera);
         let pixel = |m: Vec3| {
             let p = camera.rotation * m.as_dvec3() + camera.translation;

@@ -108,11 +108,12 @@ impl<F: Field> Deformed<F> {
         }
         let splats = self.canonical.activated();
         let mut first = true;
-        let still = self.resting.decide(splats.geometry(), |t, out| match std::mem::take(&mut first) {
+        let probe = |t: Time, out: &mut Geometry| match std::mem::take(&mut first) {
             true => self.field.forward(splats.geometry(), t, &mut self.tape, out),
             false => self.field.forward_again(splats.geometry(), t, &mut self.tape, out),
-        });
-        vec![serde_json::json!(Decision { step, still, splats: splats.len() })]
+        };
+        let (still, entered) = self.resting.decide(splats.geometry(), self.canonical.rules().grad, probe);
+        vec![serde_json::json!(Decision { step, still, entered, splats: splats.len() })]
     }
 
     fn training_time(&self, t: Time) -> Time {
