@@ -20,13 +20,14 @@
 //! # Data flow
 //! ```text
 //! Anchors ── activate ──▶ LocalAnchors ── visible, Decoder ──▶ Splats ──▶ (a field per frame) ──▶ render
-//!        └─ Gad at t_c ─┘                                            gs_deform::HexPlaneField
+//!        └─ Gad at t_c ─┘                                            Lgd
 //! ```
 //! * [`Anchors`]: positions, offsets, features, scales, dynamics as parameter blocks; [`init`] makes them from points.
 //! * [`LocalAnchors`]: activated anchors, canonical ([`Anchors::activate`]) or deformed for an interval ([`Gad`]). One kept
 //!   per interval is an exact cache.
 //! * [`visible`]: which anchors to decode for a camera without changing the image.
 //! * [`Decoder`]: from activated anchors to Gaussians, forward and backward.
+//! * [`Lgd`]: the field per frame, on feature planes or hash grids.
 //! * [`AnchorDensify`]: growing and pruning of anchors; [`Intervals`]: the temporal intervals, and when their boundaries move.
 //! * [`storage`]: bytes, as published and as needed. [`mod@reference`]: `f64` references of decoding and deformation.
 //!
@@ -41,8 +42,8 @@
 //!
 //! # What it leaves out
 //! Appearance per camera (one shared vector, as in the released code). The implicit local stage (a second deformation
-//! of anchors). Rotations and opacities of anchors, which the released code stores and never reads. The local stage is
-//! in [`gs_deform`], training in `gs-train`, rendering in `gs-raster`.
+//! of anchors). Rotations and opacities of anchors, which the released code stores and never reads. Training is
+//! in `gs-train`, rendering in `gs-raster`.
 #![warn(unreachable_pub)]
 #![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 
@@ -53,6 +54,7 @@ pub mod gad;
 pub mod init;
 pub mod intervals;
 mod lattice;
+pub mod lgd;
 pub mod local;
 pub mod reference;
 mod setting;
@@ -65,6 +67,7 @@ pub use decode::{DecodeTape, Decoder, DecoderConfig, DecoderError, HeadInputs, V
 pub use gad::{Gad, GadConfig, GadHead, GadTape};
 pub use init::{AnchorInit, InitError, InitialAnchors, anchors_from_points};
 pub use intervals::{Adjustment, IntervalConfig, Intervals};
+pub use lgd::{Lgd, LgdConfig, LgdEncoder, LgdHashConfig, LgdTape};
 pub use local::{LocalAnchors, LocalAnchorsGrad};
 pub use setting::SettingError;
 pub use storage::{StorageSizes, StorageTable};

@@ -17,7 +17,8 @@
 //!
 //! let shape = AnchorShape { offsets: 10, features: 32, dynamics: 2 };
 //! let (decoder, anchors) = (DecoderConfig::default(), 27_000);
-//! let sizes = StorageSizes { anchors, shape, decoder, global: None, local: None, cameras: 300, segments: 8 };
+//! let sizes =
+//!     StorageSizes { anchors, shape, decoder, global: None, local: None, local_hash: None, cameras: 300, segments: 8 };
 //! let table = StorageTable::of(&sizes);
 //! assert_eq!(table.rows[0].paper_bytes(), 27_000 * 324);
 //! assert_eq!(table.rows[0].needed_bytes(), 27_000 * 292);
@@ -42,6 +43,8 @@ pub struct StorageSizes {
     pub global: Option<PlaneNetConfig>,
     /// Network of the local deformation of Gaussians; absent in a static scene.
     pub local: Option<PlaneNetConfig>,
+    /// Number of values of hash grids and of their network, where the local deformation has these in place of planes.
+    pub local_hash: Option<[usize; 2]>,
     /// Number of cameras: the published code stores one appearance row for each.
     pub cameras: usize,
     /// Number of temporal intervals, `N`; 0: none.
@@ -112,10 +115,13 @@ impl StorageTable {
             let unused_values = TIME_NET + unused.iter().map(|&out| head_values(net.width, out)).sum::<usize>();
             rows.push(StorageRow::new(&format!("{name}, networks"), needed + unused_values, needed));
         }
+        for (part, values) in ["hash grids", "networks"].iter().zip(sizes.local_hash.iter().flatten()) {
+            rows.push(StorageRow::new(&format!("local deformation, {part}"), *values, *values));
+        }
         if sizes.segments > 0 {
             rows.push(StorageRow::new("canonical times", sizes.segments, sizes.segments));
         }
-        let deformed = sizes.global.is_some() || sizes.local.is_some();
+        let deformed = sizes.global.is_some() || sizes.local.is_some() || sizes.local_hash.is_some();
         let leftovers = [("deformation table (bool)", 1), ("deformation accumulator", 12)]
             .map(|(block, bytes)| UnusedTensor { block: block.to_owned(), bytes: bytes * sizes.anchors });
         Self { rows, leftovers: leftovers.into_iter().filter(|_| deformed).collect() }
@@ -203,6 +209,7 @@ mod tests {
             decoder: DecoderConfig::default(),
             global: Some(net([32, 32, 32, 10])),
             local: Some(net([64, 64, 64, 100])),
+            local_hash: None,
             cameras: 300,
             segments: 8,
         }

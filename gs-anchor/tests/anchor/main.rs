@@ -2,4 +2,5 @@
 
 mod decode;
 mod gad;
+mod lgd;
 mod support;

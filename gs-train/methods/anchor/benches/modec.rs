@@ -153,7 +153,7 @@ impl Parts {
         let mut parts = Self {
             anchors: Anchors::new(shape, &positions, &vec![0.0; positions.len()]),
             gad: Gad::new(&config.gad, shape, aabb, 0).expect("a field"),
-            lgd: HexPlaneField::new("lgd", &config.lgd, aabb, 0).expect("a field"),
+            lgd: HexPlaneField::new("lgd", &config.lgd.field, aabb, 0).expect("a field"),
             decoder: Decoder::new(&config.decoder, shape, 0).expect("a decoder"),
         };
         let mut fill = |p: &mut Param| p.value.clone_from(&values[&p.name]);

@@ -12,7 +12,8 @@
 use crate::anchored::{AnchorConfig, Anchored, Motion, Parts, Query, SparsityConfig};
 use crate::scaffold::{self, DOMAINS};
 use gs_anchor::{AnchorDensifyRules, AnchorShape, DecoderConfig, Gad, GadConfig, IntervalConfig, Intervals};
-use gs_deform::{Aabb, FourDgsConfig, HexPlaneField};
+use gs_anchor::{Lgd, LgdConfig, LgdEncoder};
+use gs_deform::Aabb;
 use gs_train::ablate::{Ablations, Part};
 use gs_train::layers::BASE;
 use gs_train::method::MethodError;
@@ -72,8 +73,8 @@ pub struct Config {
     /// Global anchor deformation, once per interval.
     pub gad: GadConfig,
     /// Local Gaussian deformation, once per frame.
-    pub lgd: FourDgsConfig,
-    /// Where LGD's planes are asked about a Gaussian.
+    pub lgd: LgdConfig,
+    /// Where LGD is asked about a Gaussian.
     pub lgd_query: Query,
     /// Temporal intervals and when they are adjusted.
     pub intervals: IntervalConfig,
@@ -93,6 +94,9 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     if !(config.sparsity.weight >= 0.0 && config.sparsity.weight.is_finite()) {
         return Err(wrong(format!("sparsity.weight = {}: finite, not negative", config.sparsity.weight)));
     }
+    if config.lgd.encoder == LgdEncoder::Hash && config.lgd_query == Query::Rest {
+        return Err(wrong("lgd_query = rest: moved with lgd.encoder = hash, which is asked at the means".into()));
+    }
     let [min, max] = scene.bounds;
     let margin = config.margin * min.distance(max);
     let aabb = Aabb::new(min - margin, max + margin).map_err(|e| wrong(e.to_string()))?;
@@ -106,7 +110,7 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     scene.admit(ENTRY.name, &[decoder.param_count(shape), gad, lgd])?;
     let field = |e: gs_deform::DeformError| MethodError::Config { method: ENTRY.name, why: e.to_string() };
     let gad = config.global.then(|| Gad::new(&config.gad, shape, aabb, scene.seed)).transpose().map_err(field)?;
-    let lgd = config.local.then(|| HexPlaneField::new("lgd", &config.lgd, aabb, scene.seed));
+    let lgd = config.local.then(|| Lgd::new(&config.lgd, aabb, scene.seed));
     let intervals = config.global.then(|| Intervals::new(&config.intervals, scene.timestamps));
     let motion = Motion {
         gad,

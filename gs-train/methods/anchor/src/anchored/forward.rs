@@ -5,10 +5,8 @@ use super::key_frames::KeyFrames;
 use super::motion::Query;
 use glam::Vec3;
 use gs_anchor::visible::{self, SUPPORT, VisibilityOptions};
-use gs_anchor::{DecodeTape, LocalAnchors, LocalAnchorsGrad, Visible};
+use gs_anchor::{DecodeTape, LgdTape, LocalAnchors, LocalAnchorsGrad, Visible};
 use gs_core::{Camera, Geometry, GeometryRef, Splats, SplatsGrad, SplatsRef, Time, cast};
-use gs_deform::Field;
-use gs_deform::field::fourdgs::HexPlaneTape;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -56,7 +54,7 @@ pub(super) struct Tape {
     /// Where LGD is asked about each decoded Gaussian, and cotangents of these places.
     places: Vec<Vec3>,
     d_places: Vec<Vec3>,
-    lgd: HexPlaneTape,
+    lgd: LgdTape,
     /// Where LGD moved them, if it took part.
     moved: Geometry,
     d_decoded: Geometry,
@@ -110,7 +108,9 @@ impl Anchored {
         self.decoder.forward(&tape.local, visible, eye, &mut tape.decoded, &mut tape.splats);
         let Some(lgd) = self.motion.lgd.as_ref().filter(|_| tape.moves) else { return true };
         match self.motion.query {
-            Query::Moved => lgd.forward(tape.splats.geometry(), t, &mut tape.lgd, &mut tape.moved),
+            Query::Moved => {
+                lgd.forward_at(&tape.splats.means, tape.splats.geometry(), t, &mut tape.lgd, &mut tape.moved);
+            }
             Query::Rest => {
                 centers(&tape.rest, &tape.decoded.rows, self.config.offsets, &mut tape.places);
                 lgd.forward_at(&tape.places, tape.splats.geometry(), t, &mut tape.lgd, &mut tape.moved);
@@ -132,11 +132,12 @@ impl Anchored {
             tape.d_decoded.reset(tape.splats.len());
             let (splats, d_splats) = (tape.splats.geometry(), tape.d_splats.geometry());
             match self.motion.query {
-                Query::Moved => lgd.backward(splats, &mut tape.lgd, d_splats, &mut tape.d_decoded),
+                Query::Moved => lgd.backward(splats, &mut tape.lgd, d_splats, &mut tape.d_decoded, None),
                 Query::Rest => {
                     tape.d_places.clear();
                     tape.d_places.resize(splats.len(), Vec3::ZERO);
-                    lgd.backward_at(splats, &mut tape.lgd, d_splats, &mut tape.d_decoded, &mut tape.d_places);
+                    let d_places = Some(&mut tape.d_places[..]);
+                    lgd.backward(splats, &mut tape.lgd, d_splats, &mut tape.d_decoded, d_places);
                     tape.d_rest.reset(&tape.rest);
                     let rows = &tape.decoded.rows;
                     centers_backward(&tape.rest, rows, self.config.offsets, &tape.d_places, &mut tape.d_rest);

@@ -6,7 +6,7 @@ use super::motion::Query;
 use super::rest::Rest;
 use glam::Vec3;
 use gs_anchor::visible::{self, VisibilityOptions};
-use gs_anchor::{DecodeTape, LocalAnchors, Visible};
+use gs_anchor::{DecodeTape, Lgd, LocalAnchors, Visible};
 use gs_core::{Camera, Color, Geometry, GeometryRef, Splats, Time, cast};
 use gs_train::capabilities::StageView;
 use std::borrow::Cow;
@@ -113,9 +113,9 @@ impl Anchored {
         let lgd = self.motion.lgd.as_ref().filter(|_| self.dynamic())?;
         let mut moved = Geometry::default();
         let places = self.places(neural.means, rows);
-        match &self.cache.rest {
-            Some(rest) => rest.forward(lgd, &places, neural, rows, t, &mut moved),
-            None => lgd.forward_at(&places, neural, t, &mut Default::default(), &mut moved),
+        match (&self.cache.rest, lgd) {
+            (Some(rest), Lgd::Planes(lgd)) => rest.forward(lgd, &places, neural, rows, t, &mut moved),
+            _ => lgd.forward_at(&places, neural, t, &mut Default::default(), &mut moved),
         }
         Some(moved)
     }

@@ -20,7 +20,7 @@ use crate::journal::Journal;
 use forward::Tape;
 use gs_anchor::{
     AnchorDensify, AnchorDensifyRules, AnchorDensifyStep, AnchorInit, AnchorShape, AnchorView, Anchors, Decoder,
-    DecoderConfig, HeadInputs, Intervals, StorageSizes, StorageTable,
+    DecoderConfig, HeadInputs, Intervals, Lgd, StorageSizes, StorageTable,
 };
 use gs_core::{Camera, Param, Params, Splats, cast};
 use gs_raster::ScreenStats;
@@ -273,11 +273,11 @@ impl Method for Anchored {
         Ok(Vec::new())
     }
 
-    fn regularise(&mut self, _last: &Timestamp) -> Vec<LossValue> {
+    fn regularise(&mut self, last: &Timestamp) -> Vec<LossValue> {
         if !self.at.dynamic {
             return Vec::new();
         }
-        let mut terms = self.motion.regularise();
+        let mut terms = self.motion.regularise(&self.anchors, last.t, self.at.step);
         if let Some(SparsityConfig { kind, weight }) = self.sparsity.filter(|s| s.weight > 0.0) {
             terms.push(("motion", kind.penalise(&mut self.anchors, weight)));
         }
@@ -389,7 +389,8 @@ impl Inspect for Anchored {
             shape: self.anchors.shape(),
             decoder: self.decoder.config().clone(),
             global: self.motion.gad.as_ref().map(|gad| gad.config().net.clone()),
-            local: self.motion.lgd.as_ref().map(|lgd| lgd.net_config()),
+            local: self.motion.lgd.as_ref().and_then(Lgd::net_config),
+            local_hash: self.motion.lgd.as_ref().and_then(Lgd::hash_values),
             cameras: self.cameras as usize,
             segments: self.motion.intervals.as_ref().map_or(0, Intervals::len),
         });

@@ -1,9 +1,8 @@
 //! What moves anchors and their Gaussians: GAD per interval, LGD per frame, and the intervals.
 
 use gs_anchor::gad::Sparsity;
-use gs_anchor::{Anchors, Gad, Intervals};
-use gs_core::{Camera, Geometry, Param, Params, Time, cast};
-use gs_deform::{Field, HexPlaneField};
+use gs_anchor::{Anchors, Gad, Intervals, Lgd};
+use gs_core::{Camera, Param, Params, Time, cast};
 use gs_raster::ScreenStats;
 use serde::{Deserialize, Serialize};
 
@@ -17,7 +16,7 @@ pub struct SparsityConfig {
     pub weight: f32,
 }
 
-/// Where LGD's planes are asked about a Gaussian.
+/// Where LGD is asked about a Gaussian.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Query {
@@ -34,7 +33,7 @@ pub struct Motion {
     /// Global anchor deformation: anchors, per interval.
     pub gad: Option<Gad>,
     /// Local Gaussian deformation: decoded Gaussians, per frame.
-    pub lgd: Option<HexPlaneField>,
+    pub lgd: Option<Lgd>,
     /// Where LGD is asked.
     pub query: Query,
     /// The intervals GAD is constant in.
@@ -48,17 +47,15 @@ impl Motion {
         keys.into_iter().map(|(normalised, w)| (Time { normalised, ..t }, w)).collect()
     }
 
-    /// Regularisers of both fields: gradients are added, weighted values given.
-    pub fn regularise(&mut self) -> Vec<(&'static str, f32)> {
+    /// Regularisers of both fields at a time and step: gradients are added, weighted values given.
+    pub fn regularise(&mut self, anchors: &Anchors, t: Time, step: u32) -> Vec<(&'static str, f32)> {
         let mut all = Vec::new();
         if let Some(gad) = &mut self.gad {
             let names = ["global_tv", "global_smoothness", "global_l1"];
             all.extend(names.into_iter().zip(gad.regularise().map(|(_, value)| value)));
         }
         if let Some(lgd) = &mut self.lgd {
-            let names = ["local_tv", "local_smoothness", "local_l1"];
-            let values = lgd.regularise(Geometry::default().view(), Time::default(), 0);
-            all.extend(names.into_iter().zip(values.into_iter().map(|(_, value)| value)));
+            all.extend(lgd.regularise(anchors, t, step));
         }
         all
     }

@@ -12,10 +12,13 @@
 //! within a share ε, `max |s − s̄| ≤ ε max |s|` and `2 ‖q − q̄‖ ≤ ε ‖q‖`, at the probe times and half-way between them,
 //! each seen from one of the cameras. A row that none of these views decodes is never baked.
 //!
+//! LGD on hash grids has no offsets to bake: none of its rows rest.
+//!
 //! Anchors with `M = 0` and a local factor below `weight` are not asked about by GAD either.
 
 use super::Anchored;
 use glam::Vec3;
+use gs_anchor::Lgd;
 use gs_core::nn::BLOCK;
 use gs_core::{Camera, Geometry, GeometryRef, Time, cast};
 use gs_deform::HexPlaneField;
@@ -108,9 +111,9 @@ impl Rest {
 }
 
 impl Anchored {
-    /// Finds what rests; `None` without LGD or where nothing moves.
+    /// Finds what rests; `None` without LGD on planes or where nothing moves.
     pub(super) fn rest(&self, options: &FreezeOptions<'_>) -> Option<(Rest, FreezeReport)> {
-        let lgd = self.motion.lgd.as_ref().filter(|_| self.dynamic())?;
+        let Some(Lgd::Planes(lgd)) = self.motion.lgd.as_ref().filter(|_| self.dynamic()) else { return None };
         let poses = probe_times(options.probes).map(|t| self.poses(lgd, t));
         let span =
             poses.map(|p| (p.clone(), p)).reduce(|(low, high), (a, b)| (low.with(a, f32::min), high.with(b, f32::max)));

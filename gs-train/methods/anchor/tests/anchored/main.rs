@@ -9,6 +9,8 @@
 //! | without GAD and LGD against the plain scaffold | same bits |
 //! | centres of baked rows at times between those looked at | 1.5 × the tolerance |
 
+mod hash;
+
 use gs_core::{Camera, Splats, SplatsGrad, SplatsRef, Time};
 use gs_method_anchor::METHODS;
 use gs_raster::{ScreenStats, Workspace, render};

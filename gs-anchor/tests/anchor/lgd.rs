@@ -1,0 +1,253 @@
+//! Local deformation on hash grids against the `f64` reference of the field (values, and gradients against its central
+//! differences), on planes against the field it wraps, and what must hold to the last bit.
+//!
+//! Tolerances (relative to the largest entry of the column or block), those of the field's own tests in gs-deform:
+//! | quantity | bound |
+//! |---|---|
+//! | moved Gaussians | 2e-6 |
+//! | gradients of Gaussians | 2e-5 |
+//! | gradients of parameters | 5e-5 |
+
+use crate::support::assert_close;
+use glam::Vec3;
+use gs_anchor::{AnchorShape, Anchors, Lgd, LgdConfig, LgdEncoder, LgdHashConfig, LgdTape};
+use gs_core::{Geometry, Params, Rng, Time};
+use gs_deform::apply::ScaleRule;
+use gs_deform::encode::HashGridConfig;
+use gs_deform::reference::Grid4dRef;
+use gs_deform::{Aabb, Field, FourDgsConfig, HexPlaneField};
+
+const T: Time = Time { normalised: 0.3, seconds: 0.3 };
+
+/// A small field of hash grids, dense and hashed levels in it.
+fn small() -> LgdConfig {
+    let canonical = HashGridConfig { base: [3.0; 3], end: [5.0, 6.0, 9.0], levels: 3, log2_table: 7 };
+    let temporal = HashGridConfig { base: [2.0, 3.0, 4.0], end: [4.0, 5.0, 6.0], levels: 2, log2_table: 6 };
+    LgdConfig {
+        encoder: LgdEncoder::Hash,
+        hash: LgdHashConfig { canonical, temporal, ..LgdHashConfig::default() },
+        field: FourDgsConfig {
+            width: 16,
+            zero_init: false,
+            scale_rule: ScaleRule::Add,
+            detach_coordinates: true,
+            ..FourDgsConfig::default()
+        },
+    }
+}
+
+/// A box whose cube reaches to ±1.5.
+fn aabb() -> Aabb {
+    Aabb::new(Vec3::new(-1.5, -1.0, 0.0), Vec3::new(0.5, 1.0, 1.2)).unwrap()
+}
+
+fn lgd(config: &LgdConfig) -> Lgd {
+    Lgd::new(config, aabb(), 3).unwrap()
+}
+
+/// A field whose every parameter matters: tables of order one.
+fn trained() -> Lgd {
+    let mut lgd = lgd(&small());
+    lgd.visit_mut(&mut |p| {
+        let mut rng = Rng::new(1, &p.name, 1, 0);
+        if p.name.starts_with("lgd.grids.") {
+            p.value.iter_mut().for_each(|v| *v = rng.normal());
+        }
+    });
+    lgd
+}
+
+/// Random Gaussians, every eighth outside the cube.
+fn gaussians(n: usize) -> Geometry {
+    let mut g = Geometry::zeros(n);
+    for row in 0..n {
+        let mut rng = Rng::new(4, "gaussians", 0, row as u64);
+        let mut vec3 = |lo, hi| Vec3::new(rng.range(lo, hi), rng.range(lo, hi), rng.range(lo, hi));
+        g.means[row] = if row % 8 == 7 { Vec3::new(0.2, 1.6, -0.4) } else { vec3(-1.4, 1.4) };
+        g.scales[row] = vec3(0.01, 0.3);
+        g.quats[row] = std::array::from_fn(|_| rng.normal());
+    }
+    g
+}
+
+fn row(g: &Geometry, r: usize) -> [f64; 10] {
+    let flat = [&g.means[r].to_array()[..], &g.quats[r], &g.scales[r].to_array()].concat();
+    std::array::from_fn(|k| f64::from(flat[k]))
+}
+
+fn forward(lgd: &Lgd, from: &Geometry, tape: &mut LgdTape) -> Geometry {
+    let mut out = Geometry::default();
+    lgd.forward_at(&from.means, from.view(), T, tape, &mut out);
+    out
+}
+
+/// Cotangents of the Gaussians; those of the parameters are left in the field.
+fn backward(lgd: &mut Lgd, from: &Geometry, tape: &mut LgdTape, d_out: &Geometry) -> Geometry {
+    let mut d = Geometry::zeros(from.len());
+    lgd.clear_grads();
+    lgd.backward(from.view(), tape, d_out.view(), &mut d, None);
+    d
+}
+
+#[test]
+fn values_and_gradients_on_hash_grids_are_those_of_the_reference() {
+    let (mut lgd, from, d_out, mut tape) = (trained(), gaussians(17), gaussians(18), LgdTape::default());
+    let d_out = d_out.view().rows(1..18);
+    let d_out = Geometry { means: d_out.means.to_vec(), quats: d_out.quats.to_vec(), scales: d_out.scales.to_vec() };
+    let out = forward(&lgd, &from, &mut tape);
+    let d = backward(&mut lgd, &from, &mut tape, &d_out);
+    let Lgd::Hash(field) = &lgd else { unreachable!("hash grids") };
+    let mut named = field.clone();
+    named.visit_mut(&mut |p| p.name = p.name.replacen("lgd.", "field.", 1));
+    let reference = Grid4dRef::new(&named);
+
+    let place = |r: usize| from.means[r].to_array().map(f64::from);
+    let loss = |reference: &Grid4dRef, v: [f64; 10], r: usize| -> f64 {
+        reference.moved(place(r), v, T).iter().zip(row(&d_out, r)).map(|(m, w)| m * w).sum()
+    };
+    let (mut got, mut want, mut got_d, mut want_d) = (vec![], vec![], vec![], vec![]);
+    let h = 1e-6;
+    for r in 0..from.len() {
+        let v = row(&from, r);
+        got.extend(row(&out, r));
+        want.extend(reference.moved(place(r), v, T));
+        got_d.extend(row(&d, r));
+        want_d.extend((0..10).map(|k| {
+            let (mut high, mut low) = (v, v);
+            high[k] += h;
+            low[k] -= h;
+            (loss(&reference, high, r) - loss(&reference, low, r)) / (2.0 * h)
+        }));
+    }
+    assert_close(&got, &want, 2e-6, "moved Gaussians");
+    assert_close(&got_d, &want_d, 2e-5, "gradients of Gaussians");
+
+    named.visit(&mut |p| {
+        let (mut reference, mut got, mut want) = (reference.clone(), vec![], vec![]);
+        let largest = p.grad.iter().enumerate().max_by(|a, b| a.1.abs().total_cmp(&b.1.abs())).map_or(0, |m| m.0);
+        for i in (0..p.len()).step_by(11).chain([largest]) {
+            let mut total = |step: f64| -> f64 {
+                reference.block(&p.name).unwrap()[i] = f64::from(p.value[i]) + step;
+                (0..from.len()).map(|r| loss(&reference, row(&from, r), r)).sum()
+            };
+            want.push((total(h) - total(-h)) / (2.0 * h));
+            total(0.0);
+            got.push(f64::from(p.grad[i]));
+        }
+        assert!(p.grad[largest] != 0.0, "{} has no gradient", p.name);
+        assert_close(&got, &want, 5e-5, &p.name);
+    });
+}
+
+#[test]
+fn an_untrained_field_of_hash_grids_is_the_identity() {
+    let mut config = small();
+    config.field.zero_init = true;
+    let from = gaussians(300);
+    assert_eq!(forward(&lgd(&config), &from, &mut LgdTape::default()), from, "bit for bit");
+}
+
+#[test]
+fn hash_grids_give_the_same_bits_for_any_number_of_threads() {
+    let (from, d_out) = (gaussians(700), gaussians(700));
+    let anchors = Anchors::new(AnchorShape { offsets: 1, features: 1, dynamics: 0 }, &from.means, &[0.0; 700]);
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let (mut lgd, mut tape) = (trained(), LgdTape::default());
+            let out = forward(&lgd, &from, &mut tape);
+            let d = backward(&mut lgd, &from, &mut tape, &d_out);
+            let terms = lgd.regularise(&anchors, T, 5);
+            let mut grads = Vec::new();
+            lgd.visit(&mut |p| grads.push(p.grad.clone()));
+            (out, d, terms, grads)
+        })
+    };
+    let one = run(1);
+    assert!([2, 3].iter().all(|threads| run(*threads) == one));
+    assert_eq!(one.2.iter().map(|t| t.0).collect::<Vec<_>>(), ["local_space", "local_time"]);
+    assert!(one.2.iter().all(|t| t.1 > 0.0), "{:?}", one.2);
+}
+
+/// Smoothness is that of the places of the anchors: of grids and of nothing else.
+#[test]
+fn the_regulariser_reaches_the_grids_alone() {
+    let means = gaussians(40).means;
+    let anchors = Anchors::new(AnchorShape { offsets: 1, features: 1, dynamics: 0 }, &means, &[0.0; 40]);
+    let mut lgd = trained();
+    lgd.regularise(&anchors, T, 1);
+    lgd.visit(&mut |p| {
+        assert_eq!(p.grad.iter().any(|g| *g != 0.0), p.name.starts_with("lgd.grids."), "{}", p.name);
+    });
+}
+
+#[test]
+fn planes_are_those_of_the_field() {
+    let config = LgdConfig { encoder: LgdEncoder::Planes, ..small() };
+    let (mut lgd, mut plain) = (lgd(&config), HexPlaneField::new("lgd", &config.field, aabb(), 3).unwrap());
+    let (from, d_out, mut tape) = (gaussians(300), gaussians(300), LgdTape::default());
+    let (mut plain_tape, mut want, mut d_want) = (Default::default(), Geometry::default(), Geometry::zeros(300));
+    plain.forward(from.view(), T, &mut plain_tape, &mut want);
+    plain.backward(from.view(), &mut plain_tape, d_out.view(), &mut d_want);
+    assert_eq!(forward(&lgd, &from, &mut tape), want);
+    assert_eq!(backward(&mut lgd, &from, &mut tape, &d_out), d_want);
+    let grads = |params: &dyn Params| {
+        let mut all = Vec::new();
+        params.visit(&mut |p| all.push((p.name.clone(), p.grad.clone())));
+        all
+    };
+    assert_eq!(grads(&lgd), grads(&plain));
+    assert_eq!((lgd.param_count() as u64, lgd.hash_values()), (config.param_count(), None));
+}
+
+#[test]
+fn tables_fit_half_a_megabyte() {
+    let hash = LgdConfig { hash: LgdHashConfig::default(), ..small() };
+    let lgd = lgd(&hash);
+    let [tables, networks] = lgd.hash_values().unwrap();
+    assert_eq!((tables as u64, tables), (hash.hash.values(), 182_166));
+    assert_eq!((tables + networks, lgd.param_count() as u64), (lgd.param_count(), hash.param_count()));
+    let mut names = Vec::new();
+    lgd.visit(&mut |p| names.push(p.name.clone()));
+    assert_eq!(names[..4], ["lgd.grids.xyz", "lgd.grids.xyt", "lgd.grids.yzt", "lgd.grids.xzt"]);
+    assert!(names[4..].iter().all(|name| name.starts_with("lgd.net.")), "{names:?}");
+    // At 8 bits, 256 values share a lowest value and a step; a tensor has a head of 18 bytes.
+    assert!(480_000 + 8 * (480_000 / 256 + 4) + 4 * 18 <= 500_000);
+}
+
+#[test]
+fn what_hash_grids_cannot_do_is_refused_by_name() {
+    let error = |change: &dyn Fn(&mut LgdConfig)| {
+        let mut config = small();
+        change(&mut config);
+        Lgd::new(&config, aabb(), 3).unwrap_err().to_string()
+    };
+    assert!(error(&|c| c.field.detach_coordinates = false).contains("`detach_coordinates` = false"));
+    assert!(error(&|c| c.field.move_quats = false).contains("`move_quats` = false"));
+    assert!(error(&|c| c.field.scale_rule = ScaleRule::Log).contains("`scale_rule` = log"));
+    assert!(error(&|c| c.field.width = 0).contains("`width` = 0"));
+    assert!(error(&|c| c.hash.canonical.levels = 0).contains("`levels` = 0"));
+    let large = HashGridConfig { base: [64.0; 3], end: [64.0; 3], levels: 2, log2_table: 17 };
+    assert!(error(&|c| c.hash.temporal = large).contains("values cannot be built: it must be such that all tables"));
+}
+
+#[test]
+fn settings_are_read_beside_those_of_the_planes() {
+    let read = |text: &str| serde_json::from_str::<LgdConfig>(text);
+    let hash = read(r#"{"encoder": "hash", "hash": {"lambda_t": 0.1}, "width": 32}"#).unwrap();
+    assert_eq!((hash.encoder, hash.hash.lambda_t, hash.field.width), (LgdEncoder::Hash, 0.1, 32));
+    assert_eq!(read(r#"{"width": 32}"#).unwrap().encoder, LgdEncoder::Planes, "as before there was a choice");
+    assert!(read(r#"{"widht": 32}"#).unwrap_err().to_string().contains("widht"));
+    let again = read(&serde_json::to_string(&hash).unwrap()).unwrap();
+    assert_eq!(again, hash);
+}
+
+#[test]
+fn grids_have_no_more_time_nodes_than_planes_may() {
+    let mut config = LgdConfig { hash: LgdHashConfig::default(), ..small() };
+    assert_eq!(config.clone().for_moments(30.0).hash, config.hash, "no bound");
+    config.field.rows_per_moment = 0.5;
+    // 15 rows of planes, of which times 0 to 1 reach 8.
+    let HashGridConfig { base, end, .. } = config.for_moments(30.0).hash.temporal;
+    assert_eq!((base[2], end), (4.0, [64.0, 64.0, 8.0]));
+}
