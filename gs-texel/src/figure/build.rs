@@ -2,6 +2,7 @@
 
 use crate::character::Character;
 use crate::skeleton::{Joint, Node, Skeleton, Trs};
+use crate::surface::NONE;
 use crate::template::{Material, Template};
 use glam::{DAffine3, DVec3, Vec2, Vec3};
 use gs_core::Image;
@@ -34,6 +35,12 @@ impl Cell {
         let gutter = GUTTER * Vec2::ONE;
         (uv - self.low - gutter) / (self.high - self.low - 2.0 * gutter)
     }
+}
+
+/// A ring of vertices, and their texture coordinates: one more, as the last is again the first.
+struct Row {
+    vertices: Vec<u32>,
+    uvs: Vec<u32>,
 }
 
 /// The template under construction, and its charts.
@@ -79,36 +86,92 @@ impl Builder {
         let first_face = self.template.faces.len();
         let s = |k: usize| 0.5 * (1.0 - (PI * k as f32 / rings as f32).cos());
         let angle = |i: usize| TAU * i as f32 / segments as f32;
-        let at = |k: usize, i: f32| cell.place(Vec2::new(i / segments as f32, k as f32 / rings as f32));
-        let mut rows: Vec<(Vec<u32>, Vec<u32>)> = Vec::with_capacity(rings);
-        for k in 1..rings {
+        let row = |body: &mut Self, k: usize| {
             let points = (0..segments).map(|i| point(s(k), angle(i)));
-            let vertices = points.map(|p| self.vertex(p, weights(p))).collect();
-            let uvs = (0..=segments).map(|i| self.uv(at(k, i as f32))).collect();
-            rows.push((vertices, uvs));
-        }
-        for pair in rows.windows(2) {
-            let [(a, ta), (b, tb)] = pair else { continue };
-            for i in 0..segments {
-                let j = (i + 1) % segments;
-                self.face([a[i], b[i], b[j]], [ta[i], tb[i], tb[i + 1]]);
-                self.face([a[i], b[j], a[j]], [ta[i], tb[i + 1], ta[i + 1]]);
-            }
-        }
+            let vertices = points.map(|p| body.vertex(p, weights(p))).collect();
+            body.row(cell, k as f32 / rings as f32, vertices)
+        };
+        let rows: Vec<Row> = (1..rings).map(|k| row(self, k)).collect();
+        rows.windows(2).for_each(|pair| self.band(&pair[0], &pair[1], |_| true));
         for (k, row) in [(0, rows.first()), (rings, rows.last())] {
-            let Some((ring, uvs)) = row else { continue };
+            let Some(row) = row else { continue };
             let p = point(s(k), 0.0);
             let pole = self.vertex(p, weights(p));
-            for i in 0..segments {
-                let (j, tip) = ((i + 1) % segments, self.uv(at(k, i as f32 + 0.5)));
-                if k == 0 {
-                    self.face([pole, ring[i], ring[j]], [tip, uvs[i], uvs[i + 1]]);
-                } else {
-                    self.face([pole, ring[j], ring[i]], [tip, uvs[i + 1], uvs[i]]);
-                }
-            }
+            self.fan(cell, row, pole, k == 0);
         }
         self.orient_outwards(first_face);
+    }
+
+    /// A tube of `rings` bands from a ring of vertices to a pole. The vertices of ring `k` are `point(k / rings, i)`, the pole
+    /// is `point(1, 0)`. Quads of `hole(band, i)` are left out, and with them the vertices that no other quad has: [`NONE`] in
+    /// the rows that are returned. Edges of the first ring are used against its order.
+    pub(super) fn tube(
+        &mut self,
+        cell: Cell,
+        first: Vec<u32>,
+        rings: usize,
+        point: &dyn Fn(f32, usize) -> Vec3,
+        weights: &dyn Fn(Vec3) -> Vec<(u32, f32)>,
+        hole: &dyn Fn(usize, usize) -> bool,
+    ) -> Vec<Vec<u32>> {
+        self.chart(cell);
+        let segments = first.len();
+        let share = |k: usize| k as f32 / rings as f32;
+        let mut rows = vec![self.row(cell, 0.0, first)];
+        for k in 1..rings {
+            let before = |i: usize| (i + segments - 1) % segments;
+            let inside = |i: usize| [k - 1, k].iter().all(|&band| hole(band, before(i)) && hole(band, i));
+            let mut vertex = |i: usize| {
+                let p = point(share(k), i);
+                if inside(i) { NONE } else { self.vertex(p, weights(p)) }
+            };
+            let vertices = (0..segments).map(&mut vertex).collect();
+            rows.push(self.row(cell, share(k), vertices));
+        }
+        for (k, pair) in rows.windows(2).enumerate() {
+            self.band(&pair[0], &pair[1], |i| !hole(k, i));
+        }
+        let p = point(1.0, 0);
+        let pole = self.vertex(p, weights(p));
+        if let Some(row) = rows.last() {
+            self.fan(cell, row, pole, false);
+        }
+        rows.into_iter().map(|row| row.vertices).collect()
+    }
+
+    /// A ring at the height `v` of a chart.
+    fn row(&mut self, cell: Cell, v: f32, vertices: Vec<u32>) -> Row {
+        let n = vertices.len();
+        let uvs = (0..=n).map(|i| self.uv(cell.place(Vec2::new(i as f32 / n as f32, v)))).collect();
+        Row { vertices, uvs }
+    }
+
+    /// Two triangles for each quad between two rings that is kept.
+    fn band(
+        &mut self,
+        Row { vertices: a, uvs: ta }: &Row,
+        Row { vertices: b, uvs: tb }: &Row,
+        keep: impl Fn(usize) -> bool,
+    ) {
+        for i in (0..a.len()).filter(|&i| keep(i)) {
+            let j = (i + 1) % a.len();
+            self.face([a[i], b[i], b[j]], [ta[i], tb[i], tb[i + 1]]);
+            self.face([a[i], b[j], a[j]], [ta[i], tb[i + 1], ta[i + 1]]);
+        }
+    }
+
+    /// Triangles from a ring to a pole at the beginning or the end of the chart.
+    fn fan(&mut self, cell: Cell, Row { vertices: ring, uvs }: &Row, pole: u32, begins: bool) {
+        for i in 0..ring.len() {
+            let j = (i + 1) % ring.len();
+            let tip = Vec2::new((i as f32 + 0.5) / ring.len() as f32, if begins { 0.0 } else { 1.0 });
+            let tip = self.uv(cell.place(tip));
+            if begins {
+                self.face([pole, ring[i], ring[j]], [tip, uvs[i], uvs[i + 1]]);
+            } else {
+                self.face([pole, ring[j], ring[i]], [tip, uvs[i + 1], uvs[i]]);
+            }
+        }
     }
 
     /// Reverses the faces from `first` on if the volume they enclose is negative.

@@ -1,13 +1,16 @@
 //! The procedural characters: closed, charted without overlap, posed as their closed forms.
 
 use glam::{DVec2, Vec3};
-use gs_texel::figure::{Cylinder, cylinder, person, plate, sphere};
+use gs_texel::figure::{Cylinder, body, cylinder, gown, person, plate, sphere};
+use gs_texel::surface::Topology;
 use gs_texel::{Character, Skinning};
 use std::collections::HashMap;
 
 fn all() -> Vec<(&'static str, Character)> {
     vec![
         ("person", person()),
+        ("body", body()),
+        ("gown", gown()),
         ("sphere", sphere(0.9, 24, 48)),
         ("cylinder", cylinder(&Cylinder::default())),
         ("plate", plate(1.0, 8)),
@@ -35,6 +38,45 @@ fn surfaces_are_closed_and_face_outwards() {
     }
     let n = person().template.vertices.len();
     assert!((2000..4000).contains(&n), "{n}");
+}
+
+/// The person is eight closed surfaces that run into one another, the body is one.
+#[test]
+fn the_body_is_one_surface_whose_weights_change_smoothly() {
+    for (c, wanted) in [(body(), 1), (person(), 8), (gown(), 5)] {
+        let t = &c.template;
+        let topology = Topology::new(&t.faces, t.vertices.len()).unwrap();
+        let (mut reached, mut parts) = (vec![false; t.vertices.len()], 0);
+        while let Some(start) = reached.iter().position(|r| !r) {
+            let mut open = vec![start as u32];
+            parts += 1;
+            while let Some(v) = open.pop() {
+                if !std::mem::replace(&mut reached[v as usize], true) {
+                    open.extend(topology.ring.row(v as usize));
+                }
+            }
+        }
+        assert_eq!((parts, topology.non_manifold), (wanted, 0));
+        // Euler: no handles.
+        let euler = t.vertices.len() + t.faces.len() - topology.edges.len();
+        assert_eq!(euler, 2 * wanted);
+    }
+    let t = body().template;
+    let dense = |v: u32| {
+        let mut row = [0.0f32; 17];
+        t.weights.row(v as usize).for_each(|(joint, w)| row[joint as usize] = w);
+        row
+    };
+    let mut steepest = (0.0f32, [Vec3::ZERO; 2]);
+    for &[a, b] in &Topology::new(&t.faces, t.vertices.len()).unwrap().edges {
+        let change: f32 = dense(a).iter().zip(dense(b)).map(|(a, b)| (a - b).abs()).sum();
+        let ends = [a, b].map(|v| t.vertices[v as usize]);
+        if change > steepest.0 {
+            steepest = (change, ends);
+        }
+    }
+    // 2 where one joint takes over from another within an edge.
+    assert!(steepest.0 < 1.3, "{steepest:?}");
 }
 
 /// Twice the signed area.
@@ -77,21 +119,41 @@ fn bind_poses_stand_and_motions_close() {
         let far = rest.iter().zip(&c.template.vertices).map(|(a, b)| (*a - *b).length()).fold(0.0, f32::max);
         assert!(far < 1e-6, "{name}: {far}");
     }
-    let person = person();
-    assert_eq!(person.skeleton.joints.len(), 17);
-    for name in ["walk", "wave", "turn"] {
-        let clip = person.clip(name).unwrap();
-        let at = |t: f64| person.posed(&clip.pose(&person.skeleton, t), Skinning::Lbs);
-        let (start, middle, end) = (at(0.0), at(0.4 * clip.duration()), at(clip.duration()));
-        let far = |a: &[Vec3], b: &[Vec3]| a.iter().zip(b).map(|(a, b)| (*a - *b).length()).fold(0.0, f32::max);
-        assert!(far(&start, &end) < 1e-5 && far(&start, &middle) > 0.1, "{name}");
-        assert!(middle.iter().all(|p| p.length() < 2.1));
-        // The arms hang: nothing is wider than a stride.
-        assert!(name == "wave" || start.iter().all(|p| p.x.abs() < 0.6), "{name}");
+    for (who, person) in [("person", person()), ("body", body()), ("gown", gown())] {
+        assert_eq!(person.skeleton.joints.len(), 17);
+        for name in ["walk", "wave", "turn", "touch"] {
+            let clip = person.clip(name).unwrap();
+            let at = |t: f64| person.posed(&clip.pose(&person.skeleton, t), Skinning::Lbs);
+            let (start, middle, end) = (at(0.0), at(0.4 * clip.duration()), at(clip.duration()));
+            let far = |a: &[Vec3], b: &[Vec3]| a.iter().zip(b).map(|(a, b)| (*a - *b).length()).fold(0.0, f32::max);
+            assert!(far(&start, &end) < 1e-5 && far(&start, &middle) > 0.1, "{who} {name}");
+            assert!(middle.iter().all(|p| p.length() < 2.1));
+            // The arms hang: nothing is wider than a stride.
+            assert!(name == "wave" || start.iter().all(|p| p.x.abs() < 0.6), "{who} {name}");
+        }
+        for morph in &person.template.morphs {
+            let most = morph.offsets.iter().map(|d| d.length()).fold(0.0, f32::max);
+            assert!(most > 0.01 && most < 0.08, "{who} {}: {most}", morph.name);
+        }
     }
-    for morph in &person.template.morphs {
-        let most = morph.offsets.iter().map(|d| d.length()).fold(0.0, f32::max);
-        assert!(most > 0.01 && most < 0.08, "{}: {most}", morph.name);
+}
+
+/// The hem swings behind the waist, as the formula says.
+#[test]
+fn the_gown_swings_late() {
+    let c = gown();
+    let clip = c.clip("walk").unwrap();
+    for k in 0..8 {
+        let phase = std::f64::consts::TAU * f64::from(k) / 8.0;
+        let pose = clip.pose(&c.skeleton, clip.duration() * f64::from(k) / 8.0);
+        let (moved, p) = (c.template.morphed(&pose.morphs), phase as f32);
+        for (v, m) in c.template.vertices.iter().zip(moved).filter(|(v, _)| v.y < 0.7) {
+            let h = (1.06 - v.y) / 0.98;
+            let want = h * h * Vec3::new(0.08 * (p - 1.2 * h).sin(), 0.0, 0.05 * (2.0 * p - 1.2 * h).sin());
+            assert!((m - *v - want).length() < 1e-5, "{v} {m} {want}");
+        }
+        let above = c.template.vertices.iter().zip(&c.template.morphs[0].offsets).filter(|(v, _)| v.y > 1.07);
+        assert!(above.into_iter().all(|(_, d)| *d == Vec3::ZERO));
     }
 }
 

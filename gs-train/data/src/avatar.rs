@@ -38,7 +38,8 @@ pub enum Morphs {
 /// Prefix of the names of characters that need no file.
 pub const BUILTIN: &str = "builtin:";
 /// The names of characters that need no file, for error texts.
-pub const BUILTINS: &str = "builtin:person, builtin:sphere, builtin:cylinder or builtin:plate";
+pub const BUILTINS: &str =
+    "builtin:person, builtin:body, builtin:gown, builtin:sphere, builtin:cylinder or builtin:plate";
 
 /// A character that needs no file, by its name without [`BUILTIN`]; none for an unknown name.
 ///
@@ -51,6 +52,8 @@ pub const BUILTINS: &str = "builtin:person, builtin:sphere, builtin:cylinder or 
 pub fn builtin(name: &str) -> Option<Character> {
     match name {
         "person" => Some(figure::person()),
+        "body" => Some(figure::body()),
+        "gown" => Some(figure::gown()),
         "sphere" => Some(figure::sphere(0.9, 24, 48)),
         "cylinder" => Some(figure::cylinder(&Cylinder::default())),
         "plate" => Some(figure::plate(1.0, 8)),

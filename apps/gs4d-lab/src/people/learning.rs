@@ -138,7 +138,7 @@ const ABLATIONS: [(&str, &[&str], &[&str]); 7] = [
     ("directions (SH)", &["gaussians.decode.sh_active=0"], &["gaussians.sh_degree=0", "gaussians.decode.sh_active=0"]),
 ];
 /// One unprojection, on the template surface.
-const SINGLE_UNPROJECTION: &[&str] = &["input=\"single\"", "schedule.stages.geometry.steps=0"];
+pub(super) const SINGLE_UNPROJECTION: &[&str] = &["input=\"single\"", "schedule.stages.geometry.steps=0"];
 
 /// Joint matrices applied as published, without orthonormalisation.
 const RAW_COVARIANCE: &[&str] = &["gaussians.decode.covariance=\"raw\""];
@@ -153,12 +153,7 @@ pub(super) fn parts(setup: &Setup, log: &mut Log<'_>) -> Result<Findings, LabErr
     let whole = Trained::of(setup, &subject.full_film, log)?;
     let mut base = None;
     for (name, at_render, in_training) in ABLATIONS {
-        let retrained = match (&setup.run, &setup.recipe) {
-            (None, Some(recipe)) if !in_training.is_empty() => {
-                Some(Trained::learn(&subject.full_film, recipe, in_training, log)?)
-            }
-            _ => None,
-        };
+        let retrained = Trained::varied(setup, &subject.full_film, in_training, log)?;
         let report = match (&retrained, &whole) {
             (Some(trained), _) => trained.scores(&subject.film, &[])?,
             (None, Some(trained)) => trained.scores(&subject.film, at_render)?,

@@ -6,10 +6,15 @@
 //! Experiments on the method need a run, or train one.
 
 mod learning;
+mod loose;
 mod pose;
+mod region;
 mod subject;
 mod table;
+#[cfg(test)]
+mod tests;
 mod texture;
+mod topo;
 mod trained;
 mod views;
 mod visibility;
@@ -97,6 +102,18 @@ pub const EXPERIMENTS: &[Experiment] = &[
         run: visibility::thresholds,
     },
     Experiment {
+        name: "loose",
+        about: "clothing that swings beside the pose: without offsets, with GeoNet's, on the true surface",
+        training: Training::Optional,
+        run: loose::loose,
+    },
+    Experiment {
+        name: "topo",
+        about: "a hand that touches the body and leaves it: both textures, and with --steps the images there",
+        training: Training::Optional,
+        run: topo::topo,
+    },
+    Experiment {
         name: "ood",
         about: "a motion never learnt from",
         training: Training::Required,
@@ -149,7 +166,7 @@ pub struct Setup {
     pub texels: usize,
     /// Texels per side compared by `tex`.
     pub sizes: Vec<usize>,
-    /// The joint rotated by `motion`; `None`: the left forearm, found by its name.
+    /// The joint rotated by `motion`, and the fore arm of `topo`; `None`: the left forearm, found by its name.
     pub joint: Option<String>,
     /// The motion clip tested by `ood`; `None`: the first that is not the film's.
     pub other_clip: Option<String>,

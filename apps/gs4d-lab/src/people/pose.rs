@@ -25,7 +25,7 @@ const HEADS: [(&str, usize); 5] =
 /// Rotates one joint by the same angle in all frames, then by an angle that grows from frame to frame.
 pub(super) fn motion(setup: &Setup, log: &mut Log<'_>) -> Result<Findings, LabError> {
     let probe = Probe::new(setup, log)?;
-    let joint = probe.joint(setup.joint.as_deref())?;
+    let joint = joint(&probe.subject, setup.joint.as_deref())?;
     let name = &probe.subject.scene.character.skeleton.nodes[joint as usize].name;
     let mut out =
         probe.findings("motion", &[("mode", 0), ("angle deg", 2)], &format!("The joint is `{name}`. {REMARK}"));
@@ -86,6 +86,23 @@ fn charts(across: &'static str, split: Option<&'static str>) -> Vec<Chart> {
     ]
 }
 
+/// Node of the named joint, or of the left forearm.
+pub(super) fn joint(subject: &Subject, name: Option<&str>) -> Result<u32, LabError> {
+    let skeleton = &subject.scene.character.skeleton;
+    let joints = || skeleton.joints.iter().map(|j| (j.node, skeleton.nodes[j.node as usize].name.as_str()));
+    let fore_arm = |name: &str| {
+        let name = name.to_lowercase();
+        let fore = ["fore", "elbow", "lower arm", "lower_arm", "lowerarm"].iter().any(|w| name.contains(w));
+        fore && (name.contains("left") || name.ends_with("_l") || name.ends_with(".l") || name.contains("_l_"))
+    };
+    let found = joints().find(|(_, n)| name.map_or_else(|| fore_arm(n), |asked| asked == *n));
+    found.map(|(node, _)| node).ok_or_else(|| LabError::Unknown {
+        what: "the joint",
+        asked: name.unwrap_or("left fore arm").to_owned(),
+        known: joints().map(|(_, n)| n).collect::<Vec<_>>().join(", "),
+    })
+}
+
 /// Measures textures and scores under changed poses.
 struct Probe {
     subject: Subject,
@@ -104,23 +121,6 @@ impl Probe {
 
     fn findings(&self, name: &'static str, first: &[(&'static str, usize)], remark: &str) -> Findings {
         Findings::new(name, remark, &[first, &HEADS, &SCORES].concat())
-    }
-
-    /// Node of the named joint, or of the left forearm.
-    fn joint(&self, name: Option<&str>) -> Result<u32, LabError> {
-        let skeleton = &self.subject.scene.character.skeleton;
-        let joints = || skeleton.joints.iter().map(|j| (j.node, skeleton.nodes[j.node as usize].name.as_str()));
-        let fore_arm = |name: &str| {
-            let name = name.to_lowercase();
-            let fore = ["fore", "elbow", "lower arm", "lower_arm", "lowerarm"].iter().any(|w| name.contains(w));
-            fore && (name.contains("left") || name.ends_with("_l") || name.ends_with(".l") || name.contains("_l_"))
-        };
-        let found = joints().find(|(_, n)| name.map_or_else(|| fore_arm(n), |asked| asked == *n));
-        found.map(|(node, _)| node).ok_or_else(|| LabError::Unknown {
-            what: "the joint",
-            asked: name.unwrap_or("left fore arm").to_owned(),
-            known: joints().map(|(_, n)| n).collect::<Vec<_>>().join(", "),
-        })
     }
 
     /// Rotates a joint about its hinge axis.

@@ -79,6 +79,24 @@ impl Subject {
         Dataset { avatar: Some(Arc::new(scene)), ..self.film.clone() }
     }
 
+    /// The subject with those of the evaluated frames for which `kept` holds; `None` if there are none.
+    ///
+    /// # Errors
+    /// As [`Self::of`].
+    pub(super) fn only(&self, kept: &[bool]) -> Result<Option<Self>, LabError> {
+        let mut scene = AvatarScene::clone(&self.scene);
+        let mut kept = kept.iter();
+        scene.frames.retain(|_| *kept.next().unwrap_or(&false));
+        let count = scene.frames.len();
+        let film = Dataset { avatar: Some(Arc::new(scene)), ..self.film.clone() };
+        (count > 0).then(|| Self::of(film, count)).transpose()
+    }
+
+    /// Normals of a surface, one per template vertex.
+    pub(super) fn normals(&self, surface: &[Vec3]) -> Vec<Vec3> {
+        self.topology.normals(surface, &self.scene.character.template.faces)
+    }
+
     /// Texel table of the template's atlas, `size` texels per side.
     ///
     /// # Errors
@@ -116,7 +134,7 @@ impl Subject {
     ) -> Result<(Texture, f64), LabError> {
         let faces = &self.scene.character.template.faces;
         let begun = Instant::now();
-        let normals = self.topology.normals(surface, faces);
+        let normals = self.normals(surface);
         let mesh = Mesh { vertices: surface, normals: &normals, faces };
         let views: Vec<_> =
             images.iter().map(|(camera, image)| unproject::View { camera, image, mask: None }).collect();
@@ -136,6 +154,13 @@ pub(super) struct Errors {
 }
 
 impl Errors {
+    /// [`Self::add`] of the texels for which `within` holds alone.
+    pub(super) fn add_within(&mut self, texture: &Texture, truth: &[[f32; 3]], within: &[bool], ms: f64) {
+        let rows: Vec<usize> = (0..truth.len()).filter(|&k| within[k]).collect();
+        let of = |colors: &[[f32; 3]]| rows.iter().map(|&k| colors[k]).collect::<Vec<_>>();
+        self.add(&of(&texture.colors), rows.iter().map(|&k| texture.seen[k] > 0), &of(truth), ms);
+    }
+
     /// Adds a texture `[K, 3]` against the true colours; `seen` masks its texels, `ms` is its unprojection time.
     pub(super) fn add(&mut self, colors: &[[f32; 3]], seen: impl Iterator<Item = bool>, truth: &[[f32; 3]], ms: f64) {
         let square = |(a, b): (&[f32; 3], &[f32; 3])| (0..3).map(|i| f64::from(a[i] - b[i]).powi(2)).sum::<f64>();

@@ -1,7 +1,9 @@
 //! A trained method `dut`, evaluated on other data and under other settings.
 
 use super::{LabError, Log, Setup, registry};
+use glam::Vec3;
 use gs_core::Params;
+use gs_data::avatar::AvatarFrame;
 use gs_data::{Dataset, ImageCache, Split};
 use gs_method_texel::{Config, Dut, ENTRY};
 use gs_metrics::Mean;
@@ -51,6 +53,22 @@ impl Trained {
             (Some(path), _) => Self::of_run(&OpenRun::open(&registry(), path)?).map(Some),
             (None, Some(recipe)) => Self::learn(film, recipe, &[], log).map(Some),
             (None, None) => Ok(None),
+        }
+    }
+
+    /// Trains the recipe of the setup with `sets` applied after its own; `None` with a run, without a recipe or without `sets`.
+    ///
+    /// # Errors
+    /// As [`Self::learn`].
+    pub(super) fn varied(
+        setup: &Setup,
+        film: &Dataset,
+        sets: &[&str],
+        log: &mut Log<'_>,
+    ) -> Result<Option<Self>, LabError> {
+        match (&setup.run, &setup.recipe) {
+            (None, Some(recipe)) if !sets.is_empty() => Self::learn(film, recipe, sets, log).map(Some),
+            _ => Ok(None),
         }
     }
 
@@ -180,6 +198,16 @@ impl Trained {
         let dut = self.model(film, changes)?;
         Ok(evaluate(&dut, film, Split::Test, [0.0; 3], &ImageCache::new(IMAGE_BYTES, 1.0))?)
     }
+}
+
+/// The surface of a frame as GeoNet deforms it, world units; the posed template without GeoNet.
+///
+/// # Errors
+/// If the frame cannot be made.
+pub(super) fn deformed(dut: &Dut, frame: &AvatarFrame) -> Result<Vec<Vec3>, LabError> {
+    let first = dut.first(frame)?;
+    let offsets = dut.offsets(&first)?.unwrap_or_else(|| vec![Vec3::ZERO; first.posed.canonical.len()]);
+    Ok(dut.actor().surface(&first.posed, &offsets))
 }
 
 /// Heading and digits of the score columns.

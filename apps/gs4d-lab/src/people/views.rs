@@ -4,11 +4,9 @@ use super::subject::Errors;
 use super::trained::{SCORES, scores};
 use super::{Cell, Chart, Findings, LabError, Log, Setup, Subject, Trained};
 use glam::DVec3;
-use gs_data::avatar::AvatarScene;
-use gs_data::{Dataset, View};
+use gs_data::View;
 use gs_synth::avatar::AvatarOptions;
 use gs_texel::unproject::UnprojectConfig;
-use std::sync::Arc;
 
 /// Numbers of conditioning cameras compared.
 const COUNTS: [usize; 6] = [1, 2, 3, 4, 6, 8];
@@ -88,13 +86,9 @@ fn with_most_cameras(subject: &Subject) -> Result<(Subject, Vec<Vec<View>>), Lab
         .collect();
     let most = orders.iter().map(Vec::len).max().unwrap_or(0);
     let kept: Vec<bool> = orders.iter().map(|o| o.len() == most).collect();
-    let mut keep = kept.iter();
-    let mut scene = AvatarScene::clone(&subject.scene);
-    scene.frames.retain(|_| *keep.next().unwrap_or(&false));
-    let count = scene.frames.len();
-    let film = Dataset { avatar: Some(Arc::new(scene)), ..subject.film.clone() };
     let orders = orders.into_iter().zip(&kept).filter(|(_, keep)| **keep).map(|(o, _)| o).collect();
-    Ok((Subject::of(film, count)?, orders))
+    let none = || LabError::Unfit("there is no frame to evaluate".into());
+    Ok((subject.only(&kept)?.ok_or_else(none)?, orders))
 }
 
 /// Appends views in farthest-point order of their cameras (the first of equals).
@@ -119,6 +113,7 @@ mod tests {
     use gs_core::{Camera, Time};
     use gs_data::ImageSource;
     use gs_data::ImageU8;
+    use std::sync::Arc;
 
     #[test]
     fn cameras_are_taken_from_afar() {

@@ -1,5 +1,6 @@
 //! Visibility rules and their thresholds.
 
+use super::region::Region;
 use super::subject::{Errors, InputImages};
 use super::{Cell, Chart, Findings, LabError, Log, Setup, Subject};
 use glam::Vec3;
@@ -20,18 +21,23 @@ const HEADS: [(&str, usize); 5] =
     [("seen %", 1), ("texture dB", 2), ("false visible %", 3), ("false hidden %", 3), ("ms", 1)];
 
 /// Every rule, the align-corners fault, and the settings of other methods.
-pub(super) fn rules(setup: &Setup, log: &mut Log<'_>) -> Result<Findings, LabError> {
+pub(super) fn cases() -> impl Iterator<Item = (&'static str, UnprojectConfig)> {
     let plain = UnprojectConfig::default();
     let compat = Compat { align_corners: true, ..Compat::default() };
-    let rules = Rule::ALL.into_iter().map(|rule| (rule.name(), UnprojectConfig { rule, ..plain }));
-    let cases = rules.chain([
+    let rules = Rule::ALL.into_iter().map(move |rule| (rule.name(), UnprojectConfig { rule, ..plain }));
+    rules.chain([
         ("bilinear, align corners", UnprojectConfig { rule: Rule::Bilinear, compat, ..plain }),
         ("as DUT's code", UnprojectConfig::dut_code()),
         ("as HoloChar", UnprojectConfig::holochar()),
         ("as DVA", UnprojectConfig::dva()),
         ("as GHG", UnprojectConfig::ghg()),
-    ]);
-    let mut out = measured("vis", &[("rule", 0)], setup, log, cases.map(|(name, config)| (vec![name.into()], config)))?;
+    ])
+}
+
+/// All [`cases`].
+pub(super) fn rules(setup: &Setup, log: &mut Log<'_>) -> Result<Findings, LabError> {
+    let mut out =
+        measured("vis", &[("rule", 0)], setup, log, cases().map(|(name, config)| (vec![name.into()], config)))?;
     out.charts = vec![chart("Texture (dB) against time (ms)", "ms", "rule")];
     Ok(out)
 }
@@ -59,13 +65,14 @@ fn measured(
     log: &mut Log<'_>,
     cases: impl Iterator<Item = (Vec<Cell>, UnprojectConfig)>,
 ) -> Result<Findings, LabError> {
-    let bench = Bench::new(setup, log)?;
+    let subject = Subject::new(setup, log)?;
+    let bench = Bench::new(&subject, setup.texels, None, |frame| Ok(subject.scene.true_surface(frame)))?;
     let mut out = Findings::new(name, REMARK, &[first, &HEADS].concat());
     for (mut row, config) in cases {
         if let [Cell::Text(case)] = &row[..] {
             log(case);
         }
-        row.extend(bench.measure(&config)?);
+        row.extend(bench.measure(&config)?.map(Cell::from));
         out.rows.push(row);
     }
     Ok(out)
@@ -75,40 +82,50 @@ fn chart(title: &str, across: &'static str, split: &'static str) -> Chart {
     Chart { part: "", title: title.into(), across, drawn: vec!["texture dB"], split: Some(split) }
 }
 
-/// True surface and input images of every evaluated frame.
-struct Bench {
-    subject: Subject,
+/// A surface and the input images of every evaluated frame, and the texels that count.
+pub(super) struct Bench<'a> {
+    subject: &'a Subject,
     table: TexelTable,
     truth: Vec<[f32; 3]>,
+    within: Vec<bool>,
     frames: Vec<(Vec<Vec3>, InputImages)>,
 }
 
-impl Bench {
-    fn new(setup: &Setup, log: &mut Log<'_>) -> Result<Self, LabError> {
-        let subject = Subject::new(setup, log)?;
-        let table = subject.table(setup.texels)?;
-        let of_frame = |f: &AvatarFrame| Ok::<_, LabError>((subject.scene.true_surface(f), subject.images(&f.inputs)?));
+impl<'a> Bench<'a> {
+    /// With `texels` a side, on the `surface` of each frame; of `region` alone if there is one.
+    pub(super) fn new(
+        subject: &'a Subject,
+        texels: usize,
+        region: Option<&Region>,
+        surface: impl Fn(&AvatarFrame) -> Result<Vec<Vec3>, LabError>,
+    ) -> Result<Self, LabError> {
+        let table = subject.table(texels)?;
+        let of_frame = |f: &AvatarFrame| Ok::<_, LabError>((surface(f)?, subject.images(&f.inputs)?));
         let frames = subject.scene.frames.iter().map(of_frame).collect::<Result<_, _>>()?;
-        Ok(Self { truth: subject.truth(&table), table, frames, subject })
+        let within = region.map_or_else(|| vec![true; table.len()], |r| r.texels(&table));
+        Ok(Self { truth: subject.truth(&table), subject, table, within, frames })
     }
 
-    /// The cells under [`HEADS`].
-    fn measure(&self, config: &UnprojectConfig) -> Result<Vec<Cell>, LabError> {
+    /// The values under [`HEADS`].
+    pub(super) fn measure(&self, config: &UnprojectConfig) -> Result<[Option<f64>; 5], LabError> {
         let mut errors = Errors::default();
         let (mut visible, mut shown, mut hidden) = (0.0, 0.0, 0.0);
         for (surface, images) in &self.frames {
             let unproject = |config: &UnprojectConfig| self.subject.texture(surface, images, &self.table, config);
             let (texture, ms) = unproject(config)?;
-            errors.add(&texture.colors, texture.seen.iter().map(|&n| n > 0), &self.truth, ms);
-            let per_view = |config: UnprojectConfig| unproject(&UnprojectConfig { keep_views: true, ..config });
+            errors.add_within(&texture, &self.truth, &self.within, ms);
+            let per_view = |config: UnprojectConfig| -> Result<Vec<f32>, LabError> {
+                let weights = unproject(&UnprojectConfig { keep_views: true, ..config })?.0.by_view;
+                let of_texels = weights.chunks(images.len().max(1)).zip(&self.within);
+                Ok(of_texels.filter(|(_, within)| **within).flat_map(|(weights, _)| weights).copied().collect())
+            };
             let exact = UnprojectConfig { rule: Rule::Ray, compat: Compat::default(), ..*config };
-            let rates = Rates::of(&per_view(*config)?.0.by_view, &per_view(exact)?.0.by_view);
+            let rates = Rates::of(&per_view(*config)?, &per_view(exact)?);
             visible += rates.visible as f64;
             shown += rates.false_visible * rates.visible as f64;
             hidden += rates.false_hidden * rates.visible as f64;
         }
         let percent = |n: f64| Some(100.0 * n / visible);
-        let row = [Some(100.0 * errors.coverage()), errors.psnr(), percent(shown), percent(hidden), Some(errors.ms())];
-        Ok(row.map(Cell::from).into())
+        Ok([Some(100.0 * errors.coverage()), errors.psnr(), percent(shown), percent(hidden), Some(errors.ms())])
     }
 }

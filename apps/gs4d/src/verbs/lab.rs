@@ -11,7 +11,7 @@ use serde_json::json;
 use std::path::PathBuf;
 use std::time::Instant;
 
-/// Experiments on avatars (method dut): textures, wrong poses, views, unseen motion, light, visibility
+/// Experiments on avatars (method dut): textures, wrong poses, views, visibility, clothing, contact, unseen motion, light
 #[derive(clap::Args)]
 pub struct Lab {
     /// Name of the experiment; without it, they are listed.
@@ -31,10 +31,10 @@ pub struct Lab {
     /// A setting to train with (repeatable).
     #[arg(long = "set", value_name = "KEY=VALUE", requires = "steps")]
     sets: Vec<String>,
-    /// The character to film: builtin, builtin:NAME, or a glTF or GLB file [default: builtin].
+    /// The character to film: builtin, builtin:NAME, or a glTF or GLB file [default: builtin; loose: builtin:gown].
     #[arg(long, value_name = "builtin|FILE")]
     template: Option<String>,
-    /// Its motion [default: the first].
+    /// Its motion [default: the first; topo: touch].
     #[arg(long, value_name = "NAME")]
     clip: Option<String>,
     /// Frames filmed.
@@ -52,7 +52,7 @@ pub struct Lab {
     /// tex: texels per side that are compared.
     #[arg(long, value_name = "S,S", value_delimiter = ',', default_values_t = Setup::default().sizes.into_iter().map(|s| s as u32), value_parser = clap::value_parser!(u32).range(8..=4096))]
     sizes: Vec<u32>,
-    /// motion: the joint that is turned [default: the left fore arm by its name].
+    /// motion, topo: the joint that is turned, or whose fore arm touches the body [default: the left fore arm by its name].
     #[arg(long, value_name = "NAME")]
     joint: Option<String>,
     /// ood: the motion that is tested on [default: the first other one].

@@ -147,6 +147,6 @@ fn wrong_words_are_told() {
     lab(&["vis", "--run", text(dir.path())]).fails(3, &["no run folder"]);
     gs4d(&["lab", "vis"]).fails(2, &["-o DIR"]);
     let list = good(&["lab"]).out;
-    assert!(list.lines().count() == 9 && list.contains("thresholds"), "{list}");
+    assert!(list.lines().count() == 11 && list.contains("thresholds"), "{list}");
     assert!(!out.exists(), "nothing was written");
 }

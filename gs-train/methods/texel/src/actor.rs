@@ -112,6 +112,8 @@ pub struct Actor {
     normals: bool,
     kappa: bool,
     follows_light: bool,
+    /// Whether images are looked at again on the deformed surface.
+    twice: bool,
 }
 
 /// Mean colours over the recording, three per texel; empty where nothing asks for them.
@@ -225,20 +227,21 @@ impl Actor {
             normals: config.normals,
             kappa: config.kappa,
             follows_light: config.follow_light,
+            twice: config.input == Input::Double,
             topology,
             fine,
             geo,
             gau,
             scene,
         };
-        let double = config.input == Input::Double;
+        let deformed = config.input != Input::Single;
         let of_gau = match config.mode {
             Mode::Direct => true,
             Mode::Networks => config.gaunet.unseen == UnseenColor::Mean,
         };
         let wanted = [
-            (double && config.centred && config.rgb).then_some(&actor.geo),
-            (of_gau || config.follow_light || double && config.surface.texture > 0.0).then_some(&actor.gau),
+            (deformed && config.centred && config.rgb).then_some(&actor.geo),
+            (of_gau || config.follow_light || deformed && config.surface.texture > 0.0).then_some(&actor.gau),
         ];
         let [geo, gau] = actor.mean_textures(wanted, |_| Ok(None)).map_err(Box::new)?;
         actor.mean = MeanTextures { geo, gau };
@@ -329,11 +332,11 @@ impl Actor {
     /// # Errors
     /// As reading images and unprojecting them goes; if offsets are not finite.
     pub fn second(&self, frame: &AvatarFrame, first: &First, offsets: Option<Vec<Vec3>>) -> Result<Second, FrameError> {
-        let images = if offsets.is_some() { self.images(frame)? } else { Vec::new() };
+        let images = if self.twice && offsets.is_some() { self.images(frame)? } else { Vec::new() };
         self.second_of(first, offsets, &images)
     }
 
-    /// The same of images, which are not looked at without offsets.
+    /// The same of images, which are not looked at without offsets, nor with [`Input::First`].
     ///
     /// # Errors
     /// As [`Self::look`]; if offsets are not finite.
@@ -349,7 +352,7 @@ impl Actor {
             seen.divide(first.light);
             Ok::<_, FrameError>(seen)
         };
-        let again = offsets.as_ref().map(look).transpose()?;
+        let again = offsets.as_ref().filter(|_| self.twice).map(look).transpose()?;
         let seen = self.resized(again.as_ref().unwrap_or(&first.seen), &self.gau);
         let offsets = offsets.unwrap_or_else(|| vec![Vec3::ZERO; posed.canonical.len()]);
         let input = self.input(&self.gau, &seen, posed, None);

@@ -22,12 +22,14 @@ pub enum Mode {
     Direct,
 }
 
-/// How often the images are brought to the surface.
+/// How often the images are brought to the surface, and to which.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Input {
     /// Twice: before and after GeoNet has deformed it.
     Double,
+    /// Once, before GeoNet has deformed it: Gaussians lie on the deformed surface, with the colours of the first texture.
+    First,
     /// Once: the template is believed.
     Single,
 }
@@ -364,7 +366,7 @@ impl Config {
 
     /// Parameters of the networks that are built.
     pub(crate) fn param_counts(&self) -> [u64; 2] {
-        let geonet = if self.input == Input::Double { self.geonet_shape().param_count() } else { 0 };
+        let geonet = if self.input != Input::Single { self.geonet_shape().param_count() } else { 0 };
         [geonet, if self.mode == Mode::Networks { self.gaunet_shape().param_count() } else { 0 }]
     }
 

@@ -131,7 +131,7 @@ impl Dut {
         scene.admit(ENTRY.name, &config.param_counts())?;
         let actor = Actor::new(avatar, &config).map_err(|e| MethodError::Scene(e.to_string()))?;
         let channels = Channels::new(config.gaussians.sh_degree).map_err(|e| wrong(e.to_string()))?;
-        let geometry = (config.input == Input::Double).then(|| Geometry::new(&config, &actor, scene.seed));
+        let geometry = (config.input != Input::Single).then(|| Geometry::new(&config, &actor, scene.seed));
         let frame = |e: FrameError| MethodError::Scene(e.to_string());
         let source = match config.mode {
             Mode::Networks => Network::new(&config, &actor, channels, scene.seed)

@@ -46,7 +46,7 @@ pub use write::write;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AvatarOptions {
-    /// `builtin:person`, `builtin:sphere`, `builtin:cylinder`, `builtin:plate`, or a glTF or GLB file.
+    /// `builtin:` with `person`, `body`, `gown`, `sphere`, `cylinder` or `plate`, or a glTF or GLB file.
     pub template: String,
     /// Layout of the texture atlas of a template from a file.
     pub atlas: Atlas,

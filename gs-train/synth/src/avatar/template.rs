@@ -142,7 +142,7 @@ mod tests {
 
     #[test]
     fn built_in_characters_have_their_atlas() {
-        for name in ["person", "sphere", "cylinder", "plate"] {
+        for name in ["person", "body", "gown", "sphere", "cylinder", "plate"] {
             let c = choose(&format!("{BUILTIN}{name}"), Atlas::Auto).unwrap();
             assert!(fault(&c.character.template).is_none() && placed(&c.character.template) > 0.99, "{name}");
         }

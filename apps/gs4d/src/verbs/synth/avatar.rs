@@ -30,7 +30,7 @@ enum MorphFlag {
 #[derive(clap::Args)]
 #[command(next_help_heading = "Scene \"avatar\"")]
 pub struct AvatarFlags {
-    /// The character: builtin, builtin:NAME (person, sphere, cylinder, plate), or a glTF or GLB file [default: builtin].
+    /// The character: builtin, builtin:NAME (person, body, gown, sphere, cylinder, plate), or a glTF or GLB file [default: builtin].
     #[arg(long, value_name = "builtin|FILE")]
     template: Option<String>,
     /// Lay the character's surface out anew, colours kept [default: where its file's atlas will not do].

@@ -269,6 +269,7 @@ fn a_frame_of_its_own_images_is_that_of_the_film() {
     for over in [
         &[SHORT][..],
         &[SHORT, "follow_light = true"],
+        &[SHORT, "input = \"first\""],
         &[SHORT, "input = \"single\"", "schedule.stages.geometry.steps = 0"],
     ] {
         let method = bare(&data, &config(over), 15);

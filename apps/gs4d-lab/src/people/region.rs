@@ -1,0 +1,60 @@
+//! A part of the template's surface: its texels, and the pixels of test views that show it.
+
+use super::Subject;
+use gs_data::{Dataset, ImageSource, ImageU8};
+use gs_texel::surface::NONE;
+use gs_texel::texels::TexelTable;
+use gs_texel::zbuffer::face_map;
+use gs_train::evaluate::EvalReport;
+use std::sync::Arc;
+
+/// Near plane, metres.
+const NEAR: f64 = 0.05;
+
+/// Heading and digits of the columns of [`scores`].
+pub(super) const SCORES: [(&str, usize); 3] = [("PSNR", 2), ("region PSNR", 2), ("region SSIM", 4)];
+
+/// Scores of the test views of [`Region::scored`]: of the whole images, then of the pixels that show the region.
+pub(super) fn scores(report: Option<&EvalReport>) -> [Option<f64>; 3] {
+    let mean = report.map(|r| r.mean);
+    let region = mean.and_then(|m| m.masked);
+    [mean.and_then(|m| m.psnr), region.and_then(|m| m.psnr), region.and_then(|m| m.ssim_seen)]
+}
+
+/// Some faces of the template.
+pub(super) struct Region {
+    faces: Vec<bool>,
+}
+
+impl Region {
+    /// The faces of which a vertex is among `vertices`, one value per template vertex.
+    pub(super) fn of(subject: &Subject, vertices: &[bool]) -> Self {
+        let faces = &subject.scene.character.template.faces;
+        Self { faces: faces.iter().map(|f| f.iter().any(|&v| vertices[v as usize])).collect() }
+    }
+
+    /// Whether there is no face.
+    pub(super) fn is_empty(&self) -> bool {
+        !self.faces.contains(&true)
+    }
+
+    /// Whether each texel of a table lies in the region.
+    pub(super) fn texels(&self, table: &TexelTable) -> Vec<bool> {
+        table.tri.iter().map(|&f| self.faces[f as usize]).collect()
+    }
+
+    /// The evaluated data, in whose test views those pixels count that show the region of the true surface.
+    pub(super) fn scored(&self, subject: &Subject) -> Dataset {
+        let mut film = subject.film.clone();
+        let faces = &subject.scene.character.template.faces;
+        for view in &mut film.test {
+            let surface = subject.scene.true_surface(subject.scene.frame_at(view.time));
+            let nearest = face_map(&surface, faces, &view.camera, NEAR);
+            let counts = |f: u32| f != NONE && self.faces[f as usize];
+            let data = nearest.iter().flat_map(|&f| [if counts(f) { 255 } else { 0 }; 4]).collect();
+            let [width, height] = [view.camera.width, view.camera.height].map(|side| side as usize);
+            view.mask = Some(ImageSource::Memory(Arc::new(ImageU8 { width, height, data })));
+        }
+        film
+    }
+}
