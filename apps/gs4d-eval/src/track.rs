@@ -147,6 +147,8 @@ pub struct TrackReport {
     pub acceleration: Option<[f64; 3]>,
     /// The same for the measured positions at these times.
     pub measured_acceleration: Option<[f64; 3]>,
+    /// Standard deviation of [`Self::measured_acceleration`], from what the parabola leaves unexplained, errors of the positions taken as independent.
+    pub measured_deviation: Option<[f64; 3]>,
 }
 
 impl TrackReport {
@@ -163,10 +165,13 @@ impl TrackReport {
             }
         }
         text.push('\n');
-        for (name, a) in [("forecast", self.acceleration), ("measured", self.measured_acceleration)] {
-            if let Some([x, y, z]) = a {
-                text.push_str(&format!("acceleration, {name}: {x:.2} {y:.2} {z:.2} units/s²\n"));
-            }
+        let all = [
+            ("acceleration, forecast", self.acceleration),
+            ("acceleration, measured", self.measured_acceleration),
+            ("  standard deviation", self.measured_deviation),
+        ];
+        for (name, [x, y, z]) in all.into_iter().filter_map(|(name, a)| Some((name, a?))) {
+            text.push_str(&format!("{name}: {x:.2} {y:.2} {z:.2} units/s²\n"));
         }
         text
     }
@@ -214,12 +219,13 @@ pub fn follow(
             kalman: kalman.map(|k| k.at(t.seconds).distance(x)),
         }
     };
-    let acceleration = |places: &[(f64, DVec3)]| Parabola::through(&places[anchor..]).map(|p| p.acceleration());
+    let [forecast, ahead] = [&ours, &theirs].map(|places| Parabola::through(&places[anchor..]));
     Ok(TrackReport {
         splats: body.rows.len(),
         moments: (0..ours.len()).map(point).collect(),
-        acceleration: acceleration(&ours),
-        measured_acceleration: acceleration(&theirs),
+        acceleration: forecast.map(|p| p.acceleration()),
+        measured_acceleration: ahead.map(|p| p.acceleration()),
+        measured_deviation: ahead.map(|p| p.deviation.to_array()),
     })
 }
 
@@ -253,6 +259,8 @@ struct Parabola {
     middle: f64,
     /// Place, velocity and acceleration at `middle`.
     derivatives: [DVec3; 3],
+    /// Standard deviation of the acceleration.
+    deviation: DVec3,
 }
 
 impl Parabola {
@@ -273,7 +281,11 @@ impl Parabola {
         let inverse = normal.inverse();
         let axes = right.map(|r| inverse * r);
         let derivatives = [0, 1, 2].map(|k| DVec3::from_array(axes.map(|axis| axis[k])));
-        derivatives.iter().all(|d| d.is_finite()).then_some(Self { middle, derivatives })
+        let fit = Self { middle, derivatives, deviation: DVec3::ZERO };
+        let left = |&(t, x): &(f64, DVec3)| (x - fit.at(t)) * (x - fit.at(t));
+        let variance = places.iter().map(left).sum::<DVec3>() / (n - 3.0) * inverse.z_axis.z;
+        let deviation = DVec3::from_array(variance.to_array().map(f64::sqrt));
+        derivatives.iter().all(|d| d.is_finite()).then_some(Self { deviation, ..fit })
     }
 
     fn at(&self, seconds: f64) -> DVec3 {
@@ -300,8 +312,28 @@ mod tests {
         let found = Parabola::through(&places[..5]).unwrap();
         assert!(DVec3::from_array(found.acceleration()).distance(a) < 1e-8);
         assert!(found.at(places[7].0).distance(places[7].1) < 1e-9, "and goes on");
+        assert!(found.deviation.length() < 1e-6, "nothing is left unexplained");
         assert!(Parabola::through(&places[..3]).is_none());
         assert!(Parabola::through(&[places[0]; 5]).is_none(), "one time says nothing");
+    }
+
+    /// Over 400 tracks with independent errors of 1 cm, accelerations spread as their stated deviation says.
+    #[test]
+    fn the_deviation_of_an_acceleration_is_how_far_it_spreads() {
+        let (mut spread, mut stated) = (0.0, 0.0);
+        for track in 0..400 {
+            let mut rng = gs_core::Rng::new(3, "track", 0, track);
+            let mut error = || 0.01 * f64::from(rng.normal());
+            let places: Vec<_> = (0..10)
+                .map(|k| f64::from(k) / 30.0)
+                .map(|t| (t, DVec3::Y * 4.905 * t * t + DVec3::new(error(), error(), error())))
+                .collect();
+            let fit = Parabola::through(&places).unwrap();
+            spread += (DVec3::from_array(fit.acceleration()) - 9.81 * DVec3::Y).length_squared();
+            stated += fit.deviation.length_squared();
+        }
+        let ratio: f64 = (spread / stated).sqrt();
+        assert!((0.9..1.1).contains(&ratio), "{ratio}");
     }
 
     #[test]
