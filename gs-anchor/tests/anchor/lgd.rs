@@ -201,7 +201,7 @@ fn planes_are_those_of_the_field() {
 }
 
 #[test]
-fn tables_fit_half_a_megabyte() {
+fn tables_are_counted_and_named() {
     let hash = LgdConfig { hash: LgdHashConfig::default(), ..small() };
     let lgd = lgd(&hash);
     let [tables, networks] = lgd.hash_values().unwrap();
@@ -211,8 +211,6 @@ fn tables_fit_half_a_megabyte() {
     lgd.visit(&mut |p| names.push(p.name.clone()));
     assert_eq!(names[..4], ["lgd.grids.xyz", "lgd.grids.xyt", "lgd.grids.yzt", "lgd.grids.xzt"]);
     assert!(names[4..].iter().all(|name| name.starts_with("lgd.net.")), "{names:?}");
-    // At 8 bits, 256 values share a lowest value and a step; a tensor has a head of 18 bytes.
-    assert!(480_000 + 8 * (480_000 / 256 + 4) + 4 * 18 <= 500_000);
 }
 
 #[test]
