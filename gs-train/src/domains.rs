@@ -145,6 +145,14 @@ pub const SHARED: &[Domain] = &[
     within("hexplane.plane_tv", 0.0, 1e4),
     within("hexplane.time_smoothness", 0.0, 1e4),
     within("hexplane.time_l1", 0.0, 1e4),
+    within("canonical.base", 2.0, 131_072.0),
+    within("canonical.end", 2.0, 131_072.0),
+    within("canonical.levels", 1.0, 64.0),
+    within("canonical.log2_table", 1.0, 28.0),
+    within("temporal.base", 2.0, 131_072.0),
+    within("temporal.end", 2.0, 131_072.0),
+    within("temporal.levels", 1.0, 64.0),
+    within("temporal.log2_table", 1.0, 28.0),
 ];
 
 /// Fails for the first number of a configuration outside its domain; a method's own domains come before the shared ones.

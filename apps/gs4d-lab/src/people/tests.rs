@@ -13,7 +13,6 @@ fn small(frames: u32) -> Setup {
 fn rows(name: &str, setup: &Setup) -> Vec<serde_json::Value> {
     let found = Experiment::find(name).unwrap().run(setup, &mut |_| ()).unwrap_or_else(|e| panic!("{name}: {e}"));
     assert!(found.rows.iter().all(|row| row.len() == found.heads.len()));
-    println!("{}", found.text());
     found.json()["rows"].as_array().unwrap().clone()
 }
 

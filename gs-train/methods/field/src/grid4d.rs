@@ -18,17 +18,9 @@ use gs_train::schedule::Schedule;
 use gs_train::still::training::StillConfig;
 use serde::{Deserialize, Serialize};
 
-/// Domains of the settings of hash grids, Fourier branch and smoothness.
+/// Domains of the settings of the box, Fourier branch, gate and smoothness.
 pub(super) const DOMAINS: &[Domain] = &[
     within("field.bound", 0.0, 1e6),
-    within("canonical.base", 2.0, 131_072.0),
-    within("canonical.end", 2.0, 131_072.0),
-    within("canonical.levels", 1.0, 64.0),
-    within("canonical.log2_table", 1.0, 28.0),
-    within("temporal.base", 2.0, 131_072.0),
-    within("temporal.end", 2.0, 131_072.0),
-    within("temporal.levels", 1.0, 64.0),
-    within("temporal.log2_table", 1.0, 28.0),
     within("fourier.gamma_max", 1.0, 1024.0),
     within("fourier.gain", 1e-6, 1e3),
     within("gate.start", 0.0, 1.0),
