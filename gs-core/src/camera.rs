@@ -146,11 +146,13 @@ impl Camera {
     }
 
     /// A world point in camera space.
+    #[inline]
     pub fn to_camera(&self, world: DVec3) -> DVec3 {
         self.rotation * world + self.translation
     }
 
     /// Pixel coordinates of a camera-space point. Not finite at `z = 0`.
+    #[inline]
     pub fn to_pixel(&self, camera_point: DVec3) -> DVec2 {
         DVec2::new(
             self.fx * camera_point.x / camera_point.z + self.cx,

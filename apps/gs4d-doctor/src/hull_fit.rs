@@ -15,7 +15,7 @@ use rayon::prelude::*;
 /// Misfits are measured on about this many pixels a side.
 const SIDE: usize = 64;
 /// Largest shift that is tried, in steps of one of these pixels.
-const MAX_SHIFT: isize = 8;
+const MAX_SHIFT: usize = 8;
 /// An explanation flags a view if it gains so many times what the views that gain most after the flagged ones do, and at least so much:
 /// shifts, exchanges of two poses, and misfits inside the silhouette of images that fit nowhere.
 const SHIFT: Limit = Limit { times: 3.0, least: 0.06 };
@@ -88,10 +88,37 @@ impl Found {
     }
 }
 
-/// An image on a grid of about [`SIDE`] pixels a side.
+/// Every `stride`-th pixel of every `stride`-th row, with a margin of nothing.
+struct Grid {
+    /// Without the margin.
+    width: usize,
+    height: usize,
+    /// Red, green, blue, and [`THERE`] or 0; row-major.
+    pixels: Vec<[u8; 4]>,
+}
+
+/// The fourth value of a pixel where something is.
+const THERE: u8 = 255;
+
+impl Grid {
+    /// Of an image whose pixels are `at(index)`.
+    fn of([w, h]: [usize; 2], stride: usize, margin: usize, at: impl Fn(usize) -> [u8; 4]) -> Self {
+        let [width, height] = [w, h].map(|n| n.div_ceil(stride));
+        let row = width + 2 * margin;
+        let mut pixels = vec![[0; 4]; row * (height + 2 * margin)];
+        for y in 0..height {
+            let to = &mut pixels[(y + margin) * row + margin..][..width];
+            to.iter_mut().enumerate().for_each(|(x, p)| *p = at(y * stride * w + x * stride));
+        }
+        Self { width, height, pixels }
+    }
+}
+
+/// An image, and its silhouette on a grid of about [`SIDE`] pixels a side.
 struct Shape<'a> {
     image: &'a ImageU8,
     stride: usize,
+    grid: Grid,
     /// Grid pixels by which sums are divided: those of the silhouette, or of the median one if it has more; a sliver would
     /// make much of little.
     area: f64,
@@ -121,15 +148,16 @@ impl<'a> HullFit<'a> {
             return None;
         }
         let stride = (first.width.max(first.height) / SIDE).max(1);
-        let areas: Vec<f64> = images.iter().map(|i| Shape { image: i, stride, area: 1.0 }.pixels() as f64).collect();
+        let mut shapes: Vec<Shape<'_>> = images.into_iter().map(|image| Shape::of(image, stride)).collect();
+        let areas: Vec<f64> = shapes.iter().map(|s| s.area).collect();
         let least = super::median(&areas).max(1.0);
-        let sized = images.into_iter().zip(&areas);
-        let shapes: Vec<Shape<'_>> = sized.map(|(image, a)| Shape { image, stride, area: a.max(least) }).collect();
+        shapes.iter_mut().for_each(|s| s.area = s.area.max(least));
         let cameras: Vec<&Camera> = s.shapes.iter().map(|(_, h)| &h.camera).collect();
         let renderings: Vec<Rendering> = cameras.par_iter().map(|c| s.carved.render(c)).collect();
-        let others = shapes.par_iter().map(|h| renderings.iter().map(|r| h.misfit(r, [0, 0])).collect()).collect();
-        let inner = shapes.par_iter().zip(&renderings).map(|(h, r)| h.inner_misfit(r)).collect();
-        let shifts = shapes.par_iter().zip(&renderings).map(|(h, r)| h.best_shift(r)).collect();
+        let grids: Vec<Grid> = renderings.par_iter().zip(&shapes).map(|(r, h)| h.grid_of(r)).collect();
+        let others = shapes.par_iter().map(|h| grids.iter().map(|g| h.misfit(g, [0, 0])).collect()).collect();
+        let inner = shapes.par_iter().zip(&renderings).map(|(h, r)| inner_misfit(h.image, r)).collect();
+        let shifts = shapes.par_iter().zip(&grids).map(|(h, g)| h.best_shift(g)).collect();
         Some(Self { carved: &s.carved, cameras, shapes, others, inner, shifts })
     }
 
@@ -215,7 +243,7 @@ impl<'a> HullFit<'a> {
         let best = (0..self.shapes.len()).min_by(|a, b| self.others[k][*a].total_cmp(&self.others[k][*b]));
         let shifted = turned(self.cameras[k], self.shifts[k].1);
         let cameras = best.map(|j| self.cameras[j].clone()).into_iter().chain([shifted]);
-        cameras.into_iter().all(|c| self.shapes[k].inner_misfit(&self.carved.render(&c)) > limit)
+        cameras.into_iter().all(|c| inner_misfit(self.shapes[k].image, &self.carved.render(&c)) > limit)
     }
 
     fn degrees(&self, k: usize, shift: [isize; 2]) -> f64 {
@@ -230,7 +258,8 @@ impl<'a> HullFit<'a> {
         let found = |k: usize| {
             let i = k * n / count;
             let camera = turned_by(self.cameras[i], degrees.to_radians(), 2.4 * k as f64);
-            let gain = self.shapes[i].best_shift(&self.carved.render(&camera)).0;
+            let shape = &self.shapes[i];
+            let gain = shape.best_shift(&shape.grid_of(&self.carved.render(&camera))).0;
             gain > MARGIN * self.shift_limit().over(&self.sorted(i, |k| self.shifts[k].0))
         };
         Found { found: (0..count).into_par_iter().filter(|k| found(*k)).count(), tried: count }
@@ -253,9 +282,8 @@ impl<'a> HullFit<'a> {
             let mut image = self.shapes[i].image.clone();
             image.data.as_chunks_mut::<4>().0.reverse();
             image.data.as_chunks_mut::<4>().0.iter_mut().for_each(|p| p[..3].rotate_left(1));
-            let shape = Shape { image: &image, ..self.shapes[i] };
             let other = self.carved.render(self.cameras[(i + n / 2) % n]);
-            [self.carved.render(self.cameras[i]), other].iter().all(|r| shape.inner_misfit(r) > limit)
+            [self.carved.render(self.cameras[i]), other].iter().all(|r| inner_misfit(&image, r) > limit)
         };
         Found { found: (0..count).into_par_iter().filter(|k| found(*k)).count(), tried: count }
     }
@@ -308,54 +336,69 @@ pub(super) fn turned_by(c: &Camera, angle: f64, direction: f64) -> Camera {
     super::silhouettes::turn(c, glam::DVec3::new(direction.cos(), direction.sin(), 0.2).normalize() * angle)
 }
 
-impl Shape<'_> {
-    /// Grid pixels of the silhouette.
-    fn pixels(&self) -> usize {
-        let (w, h) = (self.image.width, self.image.height);
-        let rows = (0..h).step_by(self.stride).flat_map(|y| (0..w).step_by(self.stride).map(move |x| y * w + x));
-        rows.filter(|i| self.image.data[4 * i + 3] > 127).count()
+impl<'a> Shape<'a> {
+    /// With the silhouette's own area.
+    fn of(image: &'a ImageU8, stride: usize) -> Self {
+        let at = |i: usize| {
+            let p = &image.data[4 * i..][..4];
+            [p[0], p[1], p[2], if p[3] > 127 { THERE } else { 0 }]
+        };
+        let grid = Grid::of([image.width, image.height], stride, 0, at);
+        let area = grid.pixels.iter().filter(|p| p[3] == THERE).count() as f64;
+        Self { image, stride, grid, area }
     }
 
-    /// The misfit of the image and a rendering moved by `shift` pixels.
-    fn misfit(&self, rendering: &Rendering, [dx, dy]: [isize; 2]) -> f64 {
-        let (w, h) = (self.image.width as isize, self.image.height as isize);
-        let mut sum = 0.0f32;
-        for y in (0..h).step_by(self.stride) {
-            for x in (0..w).step_by(self.stride) {
-                let p: &[u8] = &self.image.data[4 * (y * w + x) as usize..][..4];
-                let inside = p[3] > 127;
-                let (u, v) = (x - dx, y - dy);
-                let within = u >= 0 && v >= 0 && u < w && v < h;
-                sum += match (inside, if within { rendering[(v * w + u) as usize] } else { None }) {
-                    (true, Some(c)) => difference(p, c),
-                    (true, None) => 1.0,
-                    (false, Some(_)) => 0.25,
-                    (false, None) => 0.0,
-                };
-            }
+    /// A rendering of the image's size, with room for shifts.
+    fn grid_of(&self, rendering: &Rendering) -> Grid {
+        let size = [self.image.width, self.image.height];
+        Grid::of(size, self.stride, MAX_SHIFT, |i| rendering[i].map_or([0; 4], |[r, g, b]| [r, g, b, THERE]))
+    }
+
+    /// The misfit of the image and a rendering moved by `shift` grid pixels, [`MAX_SHIFT`] at most.
+    fn misfit(&self, rendering: &Grid, [dx, dy]: [isize; 2]) -> f64 {
+        let Grid { width, height, .. } = self.grid;
+        let row = width + 2 * MAX_SHIFT;
+        let (top, left) = (MAX_SHIFT.wrapping_add_signed(-dy), MAX_SHIFT.wrapping_add_signed(-dx));
+        let mut sum = 0u64;
+        for (y, own) in (0..height).zip(self.grid.pixels.chunks_exact(width)) {
+            let other = &rendering.pixels[(top + y) * row + left..][..width];
+            sum += u64::from(own.iter().zip(other).map(|(p, c)| misfit(*p, *c)).sum::<u32>());
         }
-        f64::from(sum) / self.area
+        sum as f64 / (f64::from(ALL) * self.area)
     }
 
-    /// The mean over the silhouette alone.
-    fn inner_misfit(&self, rendering: &Rendering) -> f64 {
-        let inside = self.image.data.chunks_exact(4).zip(rendering).filter(|(p, _)| p[3] > 127);
-        let (sum, count) = inside
-            .fold((0.0f32, 0usize), |(sum, count), (p, c)| (sum + c.map_or(1.0, |c| difference(p, c)), count + 1));
-        f64::from(sum) / count.max(1) as f64
-    }
-
-    /// Most that a shift of the rendering gains, and the shift, pixels.
-    fn best_shift(&self, rendering: &Rendering) -> (f64, [isize; 2]) {
-        let (now, step) = (self.misfit(rendering, [0, 0]), self.stride as isize);
-        let range = -MAX_SHIFT..=MAX_SHIFT;
-        let shifts = range.clone().flat_map(|y| range.clone().map(move |x| [x * step, y * step]));
-        let gains = shifts.map(|s| (now - self.misfit(rendering, s), s));
+    /// Most that a shift of the rendering gains, and the shift, pixels of the image.
+    fn best_shift(&self, rendering: &Grid) -> (f64, [isize; 2]) {
+        let now = self.misfit(rendering, [0, 0]);
+        let most = MAX_SHIFT.cast_signed();
+        let shifts = (-most..=most).flat_map(|y| (-most..=most).map(move |x| [x, y]));
+        let gains = shifts.map(|s| (now - self.misfit(rendering, s), s.map(|d| d * self.stride.cast_signed())));
         gains.fold((0.0, [0, 0]), |a, b| if b.0 > a.0 { b } else { a })
     }
 }
 
-/// Mean difference of two colours, 0..1.
-fn difference(p: &[u8], c: [u8; 3]) -> f32 {
-    (0..3).map(|k| f32::from(p[k].abs_diff(c[k]))).sum::<f32>() / 765.0
+/// What a pixel of the silhouette adds to the misfit where the hull is missing; a quarter of it where the hull is outside.
+const ALL: u32 = 4 * 3 * 255;
+
+/// What a pixel of an image and one of a rendering add to the misfit: masks in place of branches.
+#[inline(always)]
+fn misfit(p: [u8; 4], c: [u8; 4]) -> u32 {
+    let [inside, covered] = [p[3], c[3]];
+    let color = |k: usize| u32::from(p[k].abs_diff(c[k]) & inside & covered);
+    let [missing, outside] = [inside & !covered, !inside & covered].map(u32::from);
+    let there = u32::from(THERE);
+    4 * (color(0) + color(1) + color(2)) + ALL / there * missing + ALL / 4 / there * outside
+}
+
+/// The misfit over the silhouette alone, of all its pixels; their mean.
+fn inner_misfit(image: &ImageU8, rendering: &Rendering) -> f64 {
+    let all = image.data.as_chunks::<4>().0.iter().zip(rendering);
+    let inside = all.filter(|(p, _)| p[3] > 127).map(|(p, c)| c.map_or(ALL, |c| 4 * difference(*p, c)));
+    let (sum, count) = inside.fold((0u64, 0usize), |(sum, count), misfit| (sum + u64::from(misfit), count + 1));
+    sum as f64 / f64::from(ALL) / count.max(1) as f64
+}
+
+/// The sum of the differences of two colours, 0..=765.
+fn difference(p: [u8; 4], c: [u8; 3]) -> u32 {
+    (0..3).map(|k| u32::from(p[k].abs_diff(c[k]))).sum()
 }

@@ -248,7 +248,7 @@ fn stretched(view: &View, [width, height]: [usize; 2]) -> View {
 #[test]
 fn nobody_is_flagged_without_cause_and_promises_are_kept() {
     let mut table = Table::default();
-    for (scene, size, views) in [("static", 96, 40), ("sheet", 96, 40)] {
+    for (scene, size, views) in [("static", 64, 40), ("sheet", 64, 40)] {
         let set = Set { scene, size, views, seed: 5, spoilt: Spoilt::Not };
         table.add(scene, &set.data(), &other("hinge", size));
     }

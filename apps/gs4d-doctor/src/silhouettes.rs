@@ -33,7 +33,7 @@ pub(super) struct Silhouettes {
 
 /// Carves the training views; none where they have neither alpha nor masks.
 pub(super) fn check(data: &Dataset) -> Option<Silhouettes> {
-    let carved = carve(data, AGREEMENT, |c| c.clone()).ok().flatten()?;
+    let carved = carve(data, AGREEMENT).ok().flatten()?;
     let mut shapes: Vec<(Split, Silhouette)> = carved.silhouettes.iter().map(|s| (Split::Train, s.clone())).collect();
     for split in [Split::Val, Split::Test] {
         let views = data.views(split);
@@ -43,8 +43,7 @@ pub(super) fn check(data: &Dataset) -> Option<Silhouettes> {
     }
     let fits = covered(&carved);
     let now = mean(&fits);
-    let under = |s: PoseReading| carve(data, AGREEMENT, |c| s.camera(c)).ok().flatten();
-    let share = |s: PoseReading| under(s).map_or(0.0, |c| mean(&covered(&c)));
+    let share = |s: PoseReading| mean(&covered(&carved.under(data, AGREEMENT, |c| s.camera(c))));
     let mut better: Option<(PoseReading, f64)> = None;
     if now < GOOD_SHARE {
         for (s, other) in PoseReading::ALL.map(|s| (s, share(s))) {
@@ -54,7 +53,8 @@ pub(super) fn check(data: &Dataset) -> Option<Silhouettes> {
         }
     }
     let better = better.filter(|b| b.1 > now + MIN_READING_GAIN);
-    Some(Silhouettes { carved, shapes, fits, better, flipped: share(PoseReading::Flipped) })
+    let flipped = share(PoseReading::Flipped);
+    Some(Silhouettes { carved, shapes, fits, better, flipped })
 }
 
 /// The share of each silhouette that the projected hull covers; 1 for an empty one.

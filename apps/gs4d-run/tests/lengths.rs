@@ -58,34 +58,50 @@ fn trains_whole(method: &MethodEntry, preset: &str, share: f64, data: &Arc<Datas
     println!("{what}: {steps} steps, {:.2} dB", psnr(&trainer, data));
 }
 
-fn all(preset: &str, shares: &[f64], only: impl Fn(&MethodEntry) -> bool) {
-    let (moving, person) = (scene("balls", 32, 8), film("cylinder", 32, 2));
-    for method in gs_methods::registry().iter().filter(|m| only(m)) {
-        let data = if method.needs_avatar { &person } else { &moving };
-        shares.iter().for_each(|share| trains_whole(method, preset, *share, data));
+/// Presets, and the shares of their lengths.
+type Recipes = [(&'static str, &'static [f64])];
+const SHORT: &Recipes = &[("fast", &[0.01]), ("tiny", &[0.1])];
+const LONG: &Recipes = &[("fast", &[0.01, 0.1, 1.0, 3.0]), ("tiny", &[1.0])];
+/// A whole `tiny` of a person takes too long.
+const LONG_OF_A_PERSON: &Recipes = &[("fast", &[0.01, 0.1, 1.0, 3.0])];
+
+fn trains(method: &MethodEntry, recipes: &Recipes) {
+    let data = if method.needs_avatar { film("cylinder", 32, 2) } else { scene("balls", 32, 8) };
+    for (preset, shares) in recipes {
+        shares.iter().for_each(|share| trains_whole(method, preset, *share, &data));
     }
 }
 
-#[test]
-fn short_recipes_draw_every_view_and_no_stage_undoes_the_one_before() {
-    all("fast", &[0.01], |_| true);
-    all("tiny", &[0.1], |_| true);
+fn method(name: &str) -> &'static MethodEntry {
+    gs_methods::registry().iter().find(|m| m.name == name).expect("a method")
 }
 
-/// One long test a method, so that they run side by side and by name.
+/// Tests of each method by name, so that they run side by side: that short recipes draw every view and no stage undoes the one before,
+/// and the same of long ones.
 macro_rules! any_length {
     ($($name:ident: $method:literal),* $(,)?) => {
-        $(
-            #[test]
-            #[ignore = "long: RAYON_NUM_THREADS=1 cargo test --release -p gs4d-run --test lengths -- --ignored"]
-            fn $name() {
-                all("fast", &[0.01, 0.1, 1.0, 3.0], |method| method.name == $method);
-                all("tiny", &[1.0], |method| method.name == $method && !method.needs_avatar);
-            }
-        )*
+        mod short {
+            $(
+                #[test]
+                fn $name() {
+                    super::trains(super::method($method), super::SHORT);
+                }
+            )*
+        }
+
+        mod long {
+            $(
+                #[test]
+                #[ignore = "long: RAYON_NUM_THREADS=1 cargo test --release -p gs4d-run --test lengths -- --ignored"]
+                fn $name() {
+                    let method = super::method($method);
+                    super::trains(method, if method.needs_avatar { super::LONG_OF_A_PERSON } else { super::LONG });
+                }
+            )*
+        }
 
         #[test]
-        fn every_method_has_its_long_test() {
+        fn every_method_has_its_tests() {
             assert!(gs_methods::registry().iter().map(|m| m.name).eq([$($method),*]));
         }
     };

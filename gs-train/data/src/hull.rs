@@ -45,12 +45,12 @@ pub struct Silhouette {
     pub image: Arc<ImageU8>,
 }
 
-/// Where a point is in a view: outside the frame or behind the camera, outside the silhouette, or inside with this colour.
+/// Where a point is in a view: outside the frame or behind the camera, outside the silhouette, or inside.
 #[derive(Clone, Copy, PartialEq)]
 enum Verdict {
     Unseen,
     Outside,
-    Inside([u8; 3]),
+    Inside,
 }
 
 impl Silhouette {
@@ -59,18 +59,25 @@ impl Silhouette {
         self.image.data.chunks_exact(4).map(|p| p[3] > OPAQUE).collect()
     }
 
-    fn verdict(&self, p: DVec3) -> Verdict {
+    /// The pixel that shows a point, as an index of the row-major image; none outside the frame and behind the camera.
+    #[inline(always)]
+    fn pixel(&self, p: DVec3) -> Option<usize> {
         let c = self.camera.to_camera(p);
-        if c.z <= 0.0 {
-            return Verdict::Unseen;
-        }
         let at = self.camera.to_pixel(c);
         let (w, h) = (self.image.width as f64, self.image.height as f64);
-        if !(at.x >= 0.0 && at.x < w && at.y >= 0.0 && at.y < h) {
-            return Verdict::Unseen;
+        let seen = c.z > 0.0 && at.x >= 0.0 && at.x < w && at.y >= 0.0 && at.y < h;
+        seen.then(|| cast::to_usize(at.y) * self.image.width + cast::to_usize(at.x))
+    }
+
+    /// Where points are in the view, whose silhouette is [`inside`](Self::inside).
+    fn judge(&self, inside: &[bool], points: &[DVec3; SIDE], to: &mut [Verdict; SIDE]) {
+        for (p, to) in points.iter().zip(to) {
+            *to = match self.pixel(*p) {
+                None => Verdict::Unseen,
+                Some(at) if inside[at] => Verdict::Inside,
+                Some(_) => Verdict::Outside,
+            };
         }
-        let [r, g, b, a] = self.image.pixel(cast::to_usize(at.x), cast::to_usize(at.y));
-        if a > OPAQUE { Verdict::Inside([r, g, b]) } else { Verdict::Outside }
     }
 }
 
@@ -98,14 +105,27 @@ impl Hull {
     /// The cells of a box that agree with some run of `run` consecutive views.
     fn carve_box(views: &[Silhouette], run: usize, [low, high]: [Vec3; 2], agreement: f64) -> Self {
         let size = (high - low) / SIDE as f32;
+        if views.is_empty() {
+            return Self { cells: Vec::new(), size };
+        }
+        let insides: Vec<Vec<bool>> = views.par_iter().map(Silhouette::inside).collect();
+        let agreement = Agreement::new(run, agreement);
         let slab = |k: usize| {
             let centre = |i: usize, j: usize| low + size * Vec3::new(i as f32 + 0.5, j as f32 + 0.5, k as f32 + 0.5);
-            let mut verdicts = vec![Verdict::Unseen; views.len()];
+            // Of each view, where the cells of a row are in it.
+            let mut verdicts = vec![[Verdict::Unseen; SIDE]; views.len()];
             let mut kept = Vec::new();
-            for cell in 0..SIDE * SIDE {
-                let p = centre(cell % SIDE, cell / SIDE);
-                verdicts.iter_mut().zip(views).for_each(|(out, v)| *out = v.verdict(p.as_dvec3()));
-                kept.extend(agreed_color(&verdicts, run, agreement).map(|color| (p, color)));
+            for j in 0..SIDE {
+                let points: [DVec3; SIDE] = std::array::from_fn(|i| centre(i, j).as_dvec3());
+                for ((view, inside), verdicts) in views.iter().zip(&insides).zip(&mut verdicts) {
+                    view.judge(inside, &points, verdicts);
+                }
+                for i in 0..SIDE {
+                    let Some(end) = agreement.best_run(&verdicts, i) else { continue };
+                    let of_run = end + 1 - run..=end;
+                    let shows = of_run.filter(|&v| verdicts[v][i] == Verdict::Inside).map(|v| &views[v]);
+                    kept.push((centre(i, j), mean_color(shows, points[i])));
+                }
             }
             kept
         };
@@ -142,25 +162,33 @@ pub struct Carved {
     hull: Hull,
 }
 
-/// Carves the visual hull of the training views, whose cameras are replaced by `camera(&view.camera)`. A cell is kept where a
-/// share `agreement`, in 0..1, of the views that see it show it inside. None where there are neither alpha nor masks.
+/// Carves the visual hull of the training views. A cell is kept where a share `agreement`, in 0..1, of the views that see it show
+/// it inside. None where there are neither alpha nor masks.
 ///
 /// # Errors
 /// Those of decoding the images.
-pub fn carve(data: &Dataset, agreement: f64, camera: impl Fn(&Camera) -> Camera) -> Result<Option<Carved>, DataError> {
-    let train = data.train.iter().map(|v| View { camera: camera(&v.camera), ..v.clone() }).collect();
-    let (points, bounds, dynamic) = (data.points.clone(), data.bounds, data.dynamic);
-    let data = Dataset { train, points, bounds, dynamic, ..data.without_views() };
+pub fn carve(data: &Dataset, agreement: f64) -> Result<Option<Carved>, DataError> {
     if !data.has_alpha && data.train.iter().filter(|v| v.mask.is_some()).count() < MIN_RUN {
         return Ok(None);
     }
     let (by_mask, max_image_mib) = (!data.has_alpha, data.max_image_mib);
     let silhouettes = silhouettes(&data.train, by_mask, max_image_mib)?;
-    let hull = Hull::of(&silhouettes, &data, agreement);
+    let hull = Hull::of(&silhouettes, data, agreement);
     Ok(Some(Carved { silhouettes, by_mask, max_image_mib, hull }))
 }
 
 impl Carved {
+    /// The same silhouettes of `data` carved under other poses: `camera` gives the rotation and the translation of each.
+    pub fn under(&self, data: &Dataset, agreement: f64, camera: impl Fn(&Camera) -> Camera) -> Self {
+        let train = data.train.iter().map(|v| View { camera: camera(&v.camera), ..v.clone() }).collect();
+        let (points, bounds, dynamic) = (data.points.clone(), data.bounds, data.dynamic);
+        let data = Dataset { train, points, bounds, dynamic, ..data.without_views() };
+        let silhouettes: Vec<Silhouette> =
+            self.silhouettes.iter().map(|s| Silhouette { camera: camera(&s.camera), ..s.clone() }).collect();
+        let hull = Hull::of(&silhouettes, &data, agreement);
+        Self { silhouettes, hull, ..*self }
+    }
+
     /// The silhouettes of other views, such as held-out ones, ascending in time: an even selection of many.
     ///
     /// # Errors
@@ -227,37 +255,54 @@ fn silhouettes(train: &[View], by_mask: bool, max_image_mib: Option<u32>) -> Res
     chosen.par_iter().map(load).collect::<Vec<_>>().into_iter().collect()
 }
 
-/// The mean colour over the best run of consecutive views, if enough of those that see the cell show it inside.
-fn agreed_color(verdicts: &[Verdict], run: usize, agreement: f64) -> Option<[f32; 3]> {
-    let tally = |v: &Verdict| match v {
-        Verdict::Unseen => (0i32, 0i32),
-        Verdict::Outside => (0, 1),
-        Verdict::Inside(_) => (1, 1),
-    };
-    let (mut inside, mut seen) = (0, 0);
-    let mut best: Option<(f64, usize)> = None;
-    for end in 0..verdicts.len() {
-        let (i, s) = tally(&verdicts[end]);
-        (inside, seen) = (inside + i, seen + s);
-        if end >= run {
-            let (i, s) = tally(&verdicts[end - run]);
-            (inside, seen) = (inside - i, seen - s);
-        }
-        let enough = end + 1 >= run && 2 * seen as usize >= run;
-        let part = f64::from(inside) / f64::from(seen.max(1));
-        if enough && part >= agreement && best.is_none_or(|(b, _)| part > b) {
-            best = Some((part, end));
-        }
+/// When a run of consecutive views agrees on a cell.
+struct Agreement {
+    /// Views in a run.
+    run: usize,
+    /// Of so many views of a run that see a cell, how many must show it inside.
+    least: Vec<u32>,
+}
+
+impl Agreement {
+    fn new(run: usize, share: f64) -> Self {
+        let agrees = |inside: u32, seen: u32| f64::from(inside) / f64::from(seen.max(1)) >= share;
+        let least = |seen: u32| (0..=seen).find(|inside| agrees(*inside, seen)).unwrap_or(u32::MAX);
+        Self { run, least: (0..=cast::to_u32(run)).map(least).collect() }
     }
-    let (_, end) = best?;
+
+    /// The last view of the run that agrees best on a cell, if one does: at least half of it see the cell. The first of equals.
+    fn best_run<const CELLS: usize>(&self, verdicts: &[[Verdict; CELLS]], cell: usize) -> Option<usize> {
+        let (mut inside, mut seen) = (0u32, 0u32);
+        // The share of the best run so far, and its last view.
+        let mut best = ([0, 1], None);
+        for (end, of_view) in verdicts.iter().enumerate() {
+            inside += u32::from(of_view[cell] == Verdict::Inside);
+            seen += u32::from(of_view[cell] != Verdict::Unseen);
+            if end + 1 < self.run {
+                continue;
+            }
+            let agrees = 2 * seen as usize >= self.run && inside >= self.least[seen as usize];
+            if agrees && (best.1.is_none() || inside * best.0[1] > best.0[0] * seen) {
+                best = ([inside, seen], Some(end));
+            }
+            let first = verdicts[end + 1 - self.run][cell];
+            inside -= u32::from(first == Verdict::Inside);
+            seen -= u32::from(first != Verdict::Unseen);
+        }
+        best.1
+    }
+}
+
+/// The mean colour of a point in views that show it.
+fn mean_color<'a>(views: impl Iterator<Item = &'a Silhouette>, p: DVec3) -> [f32; 3] {
     let (mut sum, mut count) = ([0.0f32; 3], 0.0f32);
-    for v in &verdicts[end + 1 - run..=end] {
-        if let Verdict::Inside(c) = v {
-            sum.iter_mut().zip(c).for_each(|(a, &b)| *a += f32::from(b) / 255.0);
-            count += 1.0;
-        }
+    for view in views {
+        let Some(at) = view.pixel(p) else { continue };
+        let color = &view.image.data[4 * at..][..3];
+        sum.iter_mut().zip(color).for_each(|(a, &b)| *a += f32::from(b) / 255.0);
+        count += 1.0;
     }
-    Some(sum.map(|s| s / count.max(1.0)))
+    sum.map(|s| s / count.max(1.0))
 }
 
 #[cfg(test)]
@@ -266,10 +311,27 @@ mod tests {
 
     #[test]
     fn only_enough_agreement_keeps_a_cell() {
-        let (i, o, u) = (Verdict::Inside([255, 0, 51]), Verdict::Outside, Verdict::Unseen);
-        assert_eq!(agreed_color(&[i, i, o, o], 2, AGREEMENT), Some([1.0, 0.0, 0.2]), "inside early, gone later");
-        assert_eq!(agreed_color(&[i, o, i, o], 2, AGREEMENT), None);
-        assert_eq!(agreed_color(&[i, u, u, u], 4, AGREEMENT), None, "too few views see it");
-        assert_eq!(agreed_color(&[i, i, u, u], 4, AGREEMENT), Some([1.0, 0.0, 0.2]));
+        let (i, o, u) = (Verdict::Inside, Verdict::Outside, Verdict::Unseen);
+        let end = |run, verdicts: [Verdict; 4]| Agreement::new(run, AGREEMENT).best_run(&verdicts.map(|v| [v]), 0);
+        assert_eq!(end(2, [i, i, o, o]), Some(1), "inside early, gone later");
+        assert_eq!(end(2, [i, o, i, o]), None);
+        assert_eq!(end(4, [i, u, u, u]), None, "too few views see it");
+        assert_eq!(end(4, [i, i, u, u]), Some(3));
+        let end = |verdicts: [Verdict; 4]| Agreement::new(2, 0.5).best_run(&verdicts.map(|v| [v]), 0);
+        assert_eq!(end([o, i, i, i]), Some(2), "the first of the best");
+    }
+
+    #[test]
+    fn a_cell_has_the_mean_colour_of_the_views_that_show_it() {
+        let camera = Camera::look_at(2, 2, 0.8, DVec3::Z * 4.0, DVec3::ZERO, DVec3::Y).unwrap();
+        let view = |color: [u8; 4]| Silhouette {
+            index: 0,
+            camera: camera.clone(),
+            image: Arc::new(ImageU8 { width: 2, height: 2, data: color.repeat(4) }),
+        };
+        let views = [view([255, 0, 51, 255]), view([0, 0, 51, 255])];
+        assert_eq!(mean_color(views.iter(), DVec3::splat(0.01)), [0.5, 0.0, 0.2]);
+        assert_eq!(views[0].pixel(DVec3::Z * 5.0), None, "behind the camera");
+        assert_eq!(mean_color(views.iter(), DVec3::Z * 5.0), [0.0; 3]);
     }
 }

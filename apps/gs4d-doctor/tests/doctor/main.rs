@@ -318,6 +318,7 @@ fn a_run_is_tried() {
 }
 
 #[test]
+#[ignore = "a minute: cargo test --release -p gs4d-doctor --test doctor -- --ignored"]
 fn real_captures_are_sound() {
     for name in
         ["dnerf_mutant_400", "fox_270x480", "neu3d_flame_steak_5view_llff_colmap", "panoptic_basketball_f040-069"]

@@ -73,7 +73,11 @@ const LAW: &str = "schedule.lr.physics.all = { steps = 4500, ramp = 84 }";
 #[test]
 fn a_thrown_ball_is_forecast_and_a_field_alone_cannot() {
     let data = dataset("falling", &larger());
-    let (trace, field) = (short(&data, "trace", LAW), short(&data, "defgs", ""));
+    let (trace, field) = std::thread::scope(|threads| {
+        let trace = threads.spawn(|| short(&data, "trace", LAW));
+        let field = short(&data, "defgs", "");
+        (trace.join().expect("trained"), field)
+    });
     let [inside, beyond] = [Split::Test, Split::Extrapolate].map(|s| score(&trace, &data, s));
     let alone = score(&field, &data, Split::Extrapolate);
     println!("trace {inside:.2} dB inside, {beyond:.2} beyond; defgs {alone:.2} beyond");
