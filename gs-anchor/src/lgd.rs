@@ -113,16 +113,16 @@ impl LgdConfig {
         let FourDgsConfig { move_means, move_scales, move_quats, scale_rule, detach_coordinates, .. } = self.field;
         let values = self.hash.values();
         let rules = [
-            (move_means, "move_means", "false".to_owned(), "true with hash grids"),
-            (move_scales, "move_scales", "false".to_owned(), "true with hash grids"),
-            (move_quats, "move_quats", "false".to_owned(), "true with hash grids"),
-            (scale_rule == ScaleRule::Add, "scale_rule", "log".to_owned(), "add with hash grids"),
-            (detach_coordinates, "detach_coordinates", "false".to_owned(), "true with hash grids"),
+            (move_means, "lgd.move_means", "false".to_owned(), "true with hash grids"),
+            (move_scales, "lgd.move_scales", "false".to_owned(), "true with hash grids"),
+            (move_quats, "lgd.move_quats", "false".to_owned(), "true with hash grids"),
+            (scale_rule == ScaleRule::Add, "lgd.scale_rule", "log".to_owned(), "add with hash grids"),
+            (detach_coordinates, "lgd.detach_coordinates", "false".to_owned(), "true with hash grids"),
             (
                 values <= MAX_VALUES,
-                "log2_table",
+                "lgd.hash",
                 format!("{values} values"),
-                "such that all tables have at most 480000",
+                "at most 480000 in all tables: fewer levels, or a smaller log2_table",
             ),
         ];
         let fault = rules.into_iter().find(|rule| !rule.0);

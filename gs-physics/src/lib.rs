@@ -27,6 +27,10 @@
 //! assert!((means[0] - Vec3::new(-1.0, 0.0, 1.5)).length() < 1e-5);
 //! # Ok::<(), gs_physics::RowsError>(())
 //! ```
+//!
+//! # What it leaves out
+//! Contacts, forces between bodies, bodies that bend: a particle goes on as its law says, whatever is in its way. Fitting to images is in
+//! `gs-method-physics`.
 #![warn(unreachable_pub)]
 #![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 

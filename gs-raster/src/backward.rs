@@ -24,7 +24,8 @@ const SPLAT_BLOCK: usize = 512;
 /// Gradient of the loss whose cotangents are `d` with respect to every column of `splats`, written to `grad` (same
 /// layout) and `stats`; both are resized and overwritten.
 ///
-/// Must follow [`crate::render_into`] of the same splats, camera and options with the same workspace. `d` must be
+/// Must follow [`crate::render_into`] of the same splats, camera and options with the same workspace, which keeps what that call
+/// projected and sorted: after another one the result is wrong, or it panics. `d` must be
 /// finite. The result is the same bits for any number of threads.
 ///
 /// ```

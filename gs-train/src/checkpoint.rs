@@ -4,6 +4,15 @@
 //! [`Checkpoint::save`] writes the file whole or not at all ([`gs_core::io::write_file`]). A process killed at any moment
 //! leaves the older file or the newer one, never a mixture.
 //! [`load_newest`] takes the newest file that verifies and tells which it skipped, and why.
+//!
+//! # File
+//! All integers little endian. A file is a header and a fixed number of sections, and nothing behind them:
+//! ```text
+//! header   "GS4DCKPT"  version u32  sections u32  crc32 u32 (of the 16 bytes before)
+//! section  name_len u32  payload_len u64  name  payload  crc32 u32 (of everything before, from name_len on)
+//! ```
+//! The first section is `meta` (JSON: step, configuration, schedule, counters); every other is a tensor: in a file of
+//! version 1 of `f32`, kept bit for bit, in one of version 2 packed ([`Encoding`]).
 
 mod container;
 mod half;

@@ -16,9 +16,38 @@
 //! * [`checkpoint`], [`saved`]: atomic files of the whole state; [`evaluate`], [`renderer`]: scores and images of a method;
 //!   [`device`]: what frames are rendered on.
 //!
+//! # Example
+//! A data set, a method by its name, steps of training, an image at any time:
+//! ```
+//! use gs_synth::{SynthOptions, generate};
+//! use gs_train::renderer::Renderer;
+//! use gs_train::trainer::{TrainOptions, Trainer};
+//! use std::sync::Arc;
+//!
+//! let scene = generate("balls", &SynthOptions::of_views(32, 8, 1))?;
+//! let registry = gs_methods::registry();
+//! let config = registry.find("fourdgs")?.config("tiny")?;
+//! let data = Arc::new(scene.dataset);
+//! let mut trainer = Trainer::new(registry, data.clone(), "fourdgs", &config, TrainOptions::default())?;
+//! let loss = trainer.step()?.loss.total;
+//! assert!(loss.is_finite() && trainer.steps_done() == 1);
+//!
+//! let model = trainer.model();
+//! let image = Renderer::new(model.raster_options(model.background())).at(model, 0.5, &data.test[0].camera)?;
+//! assert_eq!((image.width, image.height), (32, 32));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # Conventions
+//! Those of [`gs_core`] and [`gs_raster`]; times are [`gs_core::Time`]s, normalised as the data set says. A configuration is a resolved
+//! [`toml::Table`]: that of a preset is [`MethodEntry::config`](registry::MethodEntry::config), and every setting is read from it once.
+//!
+//! # What it leaves out
+//! Any method (`gs-methods`), reading of data (`gs-data`), run folders and their reports (`gs4d-run`), ranks on a network (`gs4d-mpi`).
+//!
 //! # Promises
 //! A run is a function of data, configuration and seed: the same bits for any number of threads and ranks, and after any
-//! interruption. Gradients that are not finite are refused, counted and named.
+//! interruption, on one instruction set and device. Gradients that are not finite are refused, counted and named.
 #![warn(unreachable_pub)]
 
 pub mod ablate;

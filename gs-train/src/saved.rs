@@ -221,11 +221,21 @@ fn restore(model: &mut Model, tensors: &[(String, Vec<f32>)]) -> Result<(), Stri
     result
 }
 
+fn check_finite(name: &str, values: &[f32]) -> Result<(), String> {
+    match values.iter().position(|v| !v.is_finite()) {
+        Some(at) => Err(format!("tensor `{name}` has a value that is not finite at {at}")),
+        None => Ok(()),
+    }
+}
+
 fn restore_buffer(buffer: BufferMut, tensors: &BTreeMap<&str, &Vec<f32>>, rows: usize) -> Result<(), String> {
     let BufferMut { name, row_width, values, .. } = buffer;
     let needed = row_width.map_or(values.len(), |width| rows * width);
     match tensors.get(name) {
-        Some(stored) if stored.len() == needed => values.clone_from(stored),
+        Some(stored) if stored.len() == needed => {
+            check_finite(name, stored)?;
+            values.clone_from(stored);
+        }
         Some(stored) => return Err(format!("tensor `{name}` has {} values, {needed} are needed", stored.len())),
         None if row_width.is_some() => *values = vec![0.0; rows * row_width.unwrap_or(1)],
         None => {}
@@ -248,9 +258,7 @@ fn restore_block(p: &mut Param, tensors: &BTreeMap<&str, &Vec<f32>>, rows: &mut 
         }
         _ => {}
     }
-    if let Some(at) = value.iter().position(|v| !v.is_finite()) {
-        return Err(format!("tensor `{name}` has a value that is not finite at {at}"));
-    }
+    check_finite(name, value)?;
     for (suffix, moment) in [("#m1", &mut p.moment1), ("#m2", &mut p.moment2)] {
         *moment = match tensors.get(format!("{name}{suffix}").as_str()) {
             Some(m) if m.len() == value.len() => m.to_vec(),

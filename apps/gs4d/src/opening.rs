@@ -50,9 +50,14 @@ impl RunData {
     }
 }
 
+/// Normalised time of the last training image; 1 where a run does not say.
+pub fn last_trained(run: &OpenRun) -> f32 {
+    Some(run.loaded.scene.last_time).filter(|last| *last > 0.0).unwrap_or(1.0)
+}
+
 /// Says of the first time outside training that the method extrapolates there.
 pub fn note_extrapolated(times: impl IntoIterator<Item = f32>, run: &OpenRun, global: &Global) {
-    let last = Some(run.loaded.scene.last_time).filter(|last| *last > 0.0).unwrap_or(1.0);
+    let last = last_trained(run);
     if let Some(time) = times.into_iter().find(|time| !(0.0..=last).contains(time)) {
         global.say(format!("note: time {time} lies outside training (0..{last}): what is there is extrapolated"));
     }

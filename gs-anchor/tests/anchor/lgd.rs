@@ -170,7 +170,7 @@ fn what_hash_grids_cannot_do_is_refused_by_name() {
         change(&mut config);
         Lgd::new(&config, aabb(), 3).unwrap_err().to_string()
     };
-    assert!(error(&|c| c.field.detach_coordinates = false).contains("`detach_coordinates` = false"));
+    assert!(error(&|c| c.field.detach_coordinates = false).contains("`lgd.detach_coordinates` = false"));
     assert!(error(&|c| c.field.move_quats = false).contains("`move_quats` = false"));
     assert!(error(&|c| c.field.scale_rule = ScaleRule::Log).contains("`scale_rule` = log"));
     assert!(error(&|c| c.field.width = 0).contains("`width` = 0"));

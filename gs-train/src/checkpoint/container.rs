@@ -1,13 +1,5 @@
-//! The bytes of a checkpoint.
-//!
-//! # File
-//! All integers little endian. A file is a header and a fixed number of sections, and nothing behind them:
-//! ```text
-//! header   "GS4DCKPT"  version u32  sections u32  crc32 u32 (of the 16 bytes before)
-//! section  name_len u32  payload_len u64  name  payload  crc32 u32 (of everything before, from name_len on)
-//! ```
-//! The first section is `meta` (JSON: step, configuration, schedule, counters); every other is a tensor: in a file of
-//! version 1 of `f32`, kept bit for bit, in one of version 2 packed (see [`packed`](super::packed)). CRC-32 finds every burst of up to 32 bits; a length is believed only as far as bytes are present.
+//! The bytes of a checkpoint, as the module above describes them. CRC-32 finds every burst of up to 32 bits; a length is believed only as far
+//! as bytes are present.
 
 use super::Checkpoint;
 use super::packed::{self, Encoding};

@@ -40,6 +40,23 @@ pub struct StillConfig {
     pub until: f32,
 }
 
+impl StillConfig {
+    /// Fails if splats may be left out, but in no step.
+    ///
+    /// # Errors
+    /// What is wrong, with the settings to change.
+    pub fn check(&self) -> Result<(), String> {
+        let Self { pixels, from, until, .. } = *self;
+        if pixels > 0.0 && from >= until {
+            return Err(format!(
+                "still.from = {from} and still.until = {until} leave no step in which a splat may rest: make still.from the smaller \
+                 one, or set still.pixels = 0"
+            ));
+        }
+        Ok(())
+    }
+}
+
 /// Values of a row of `still.pose`: whether it is still, shifts of mean and quaternion, factors of scales.
 const POSE: usize = 11;
 /// Values of a row of `still.loss`.
@@ -53,7 +70,7 @@ pub struct StillRows {
     last_time: f32,
     /// `[n, 11]`.
     pose: Vec<f32>,
-    /// `[n, 1]`: most pixels that a shift of one world unit made on the screen of a view.
+    /// `[n, 1]`: most pixels that a shift of one world unit made on the screen of a view, the largest number where a centre lay behind it.
     reach: Vec<f32>,
     /// `[n, 2]`, since the last decision: sum of the norms of the screen gradient, half-image units, over the views that showed a splat
     /// left out, and their number.
@@ -83,9 +100,13 @@ impl StillRows {
         self.pose.chunks_exact(POSE).map(|row| row[0] != 0.0)
     }
 
-    /// Chooses the rows that take part in the field in this step.
+    /// Chooses the rows that take part in the field in this step. What an earlier stage decided ends with it.
     pub fn begin_step(&mut self, at: &StepCtx) {
         self.rows = None;
+        if at.stage_offset == 0 {
+            self.pose.chunks_exact_mut(POSE).for_each(|row| row[0] = 0.0);
+            self.loss.fill(0.0);
+        }
         if !self.on() || !self.open(at) {
             return;
         }
@@ -149,7 +170,7 @@ impl StillRows {
         let left_out = |row: u32| self.rows.as_ref().is_some_and(|rows| rows.binary_search(&row).is_err());
         for (i, norm) in screen_gradients(stats, camera.width, camera.height) {
             let depth = axis.dot(moved.means[i]) + shift;
-            self.reach[i] = self.reach[i].max(if depth > 0.0 { focal / depth } else { f32::INFINITY });
+            self.reach[i] = self.reach[i].max(if depth > 0.0 { focal / depth } else { f32::MAX }.min(f32::MAX));
             if left_out(cast::to_u32(i)) {
                 self.loss[LOSS * i] += norm;
                 self.loss[LOSS * i + 1] += 1.0;
@@ -188,7 +209,10 @@ impl StillRows {
             let (mean, quat) = (0.5 * (low.means[i] + high.means[i]), 0.5 * (quat_low + quat_high));
             let scales = 0.5 * (low.scales[i] + high.scales[i]);
             let way = 0.5 * low.means[i].distance(high.means[i]);
-            let change = shape_change((high.scales[i], high.quats[i]), (scales, quat.to_array()));
+            let change = [&low, &high]
+                .map(|g| shape_change((g.scales[i], g.quats[i]), (scales, quat.to_array())))
+                .into_iter()
+                .fold(0.0, f32::max);
             let known = way == 0.0 || self.reach[i] > 0.0;
             let enters = loss[0] > grad * loss[1];
             let still = !enters && known && way * self.reach[i] <= pixels && change <= shape;
@@ -285,6 +309,31 @@ mod tests {
         assert_eq!(takes_part(StepCtx { stage_offset: 5, ..step(8) }), None, "all at the beginning of a stage");
         assert_eq!(takes_part(StepCtx { stage_offset: 97, ..step(8) }), None, "all at its end");
         assert_eq!(takes_part(StepCtx { deform_only: true, ..step(8) }), None, "all where the cloud rests");
+        rows.config.from = 0.0;
+        rows.begin_step(&StepCtx { stage_offset: 0, ..step(8) });
+        assert!(rows.flags().all(|still| !still), "a stage begins with none");
+    }
+
+    #[test]
+    fn a_tolerance_that_leaves_out_none_is_refused() {
+        let config = StillConfig { pixels: 1.0, from: 0.95, until: 0.5, ..StillConfig::default() };
+        assert!(config.check().unwrap_err().contains("still.from"));
+        assert_eq!(StillConfig { pixels: 0.0, ..config }.check(), Ok(()));
+        assert_eq!(decided().config.check(), Ok(()));
+    }
+
+    /// Seen from the larger extreme scales change by a third, seen from the smaller one by as much as that is.
+    #[test]
+    fn a_shape_is_held_against_both_extremes() {
+        let (canonical, row) = (canonical(), |t: Time, from: GeometryRef<'_>, to: &mut Geometry| {
+            *to = from.pick(&[0, 1, 2, 3]);
+            to.scales.iter_mut().for_each(|s| *s *= 1.0 + 2.0 * t.normalised);
+        });
+        for (shape, still) in [(0.5, 0), (1.01, 4)] {
+            let mut rows = decided();
+            rows.config.shape = shape;
+            assert_eq!(rows.decide(canonical.view(), 0.0, |t, out| row(t, canonical.view(), out)).0, still);
+        }
     }
 
     #[test]

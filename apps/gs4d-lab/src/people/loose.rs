@@ -8,7 +8,6 @@ use super::{Cell, Findings, LabError, Log, Setup, Subject, Trained};
 use gs_data::Dataset;
 use gs_data::avatar::AvatarScene;
 use gs_method_texel::Dut;
-use gs_synth::avatar::AvatarOptions;
 use gs_texel::texels::TexelTable;
 use gs_texel::unproject::UnprojectConfig;
 use std::sync::Arc;
@@ -19,8 +18,8 @@ const LEAST: f32 = 0.005;
 /// What the method knows of the surface: name, settings, and whether poses state the motion of the clothing.
 const GEOMETRIES: [(&str, &[&str], Knows); 4] = [
     ("template, no geometry stage", SINGLE_UNPROJECTION, Knows::Template),
-    ("GeoNet, first texture", &["input=\"first\""], Knows::Offsets),
-    ("GeoNet, second texture", &[], Knows::Offsets),
+    ("GeoNet, first texture", &["input=\"first\""], Knows::Offsets { retextured: false }),
+    ("GeoNet, second texture", &["input=\"double\""], Knows::Offsets { retextured: true }),
     ("true surface, no geometry stage", SINGLE_UNPROJECTION, Knows::Truth),
 ];
 
@@ -28,13 +27,15 @@ const GEOMETRIES: [(&str, &[&str], Knows); 4] = [
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Knows {
     Template,
-    Offsets,
+    /// GeoNet's; with the texture unprojected on it again, or not.
+    Offsets {
+        retextured: bool,
+    },
     Truth,
 }
 
 /// Scores without offsets, with offsets under either texture, and on the true surface.
 pub(super) fn loose(setup: &Setup, log: &mut Log<'_>) -> Result<Findings, LabError> {
-    let setup = &clothed(setup);
     let plain = Subject::new(setup, log)?;
     let stated = Subject::of(stated(&plain.full_film), setup.frames)?;
     let clothing = Region::of(&plain, &moving(&plain));
@@ -42,30 +43,36 @@ pub(super) fn loose(setup: &Setup, log: &mut Log<'_>) -> Result<Findings, LabErr
         return Err(LabError::Unfit("nothing of this film moves that its poses do not state".into()));
     }
     let table = plain.table(setup.texels)?;
-    let films = [&plain, &stated].map(|subject| clothing.scored(subject));
+    let films = [clothing.scored(&plain)?, clothing.scored(&stated)?];
     let whole = Trained::of(setup, &plain.full_film, log)?;
+    let finds_offsets = whole.as_ref().is_some_and(|t| setup.run.is_none() || t.has_geonet());
+    if whole.is_some() && !finds_offsets {
+        log("this run has no GeoNet: its rows are left out");
+    }
     let heads = [("geometry", 0), ("offset error %", 1), ("along normals %", 1), ("seen %", 1), ("texture dB", 2)];
-    let remark = "Offsets: RMS error over RMS length of the true ones, all vertices and evaluated frames. Texture: on the surface of \
-                  that row, against the template's own colour, texels of the clothing. Region: pixels of test views that show it. \
+    let remark = "Offsets: RMS error over RMS length of the true ones, all vertices and evaluated frames. Texture: unprojected on the \
+                  posed template, the second one on GeoNet's surface, against the template's own colour, texels of the clothing. Region: pixels of test views that show it. \
                   True surface: the poses state the clothing's motion.";
     let mut out = Findings::new("loose", remark, &[&heads[..], &region::SCORES].concat());
     for (name, settings, knows) in GEOMETRIES {
-        if knows == Knows::Offsets && whole.is_none() {
+        let offsets = matches!(knows, Knows::Offsets { .. });
+        if offsets && !finds_offsets {
             continue;
         }
+        let settings = if whole.as_ref().is_some_and(|t| settings == [t.input()]) { &[][..] } else { settings };
         log(name);
         let (subject, film) = if knows == Knows::Truth { (&stated, &films[1]) } else { (&plain, &films[0]) };
         let varied = Trained::varied(setup, &subject.full_film, settings, log)?;
         let (trained, changes) =
             (varied.as_ref().or(whole.as_ref()), if varied.is_some() { &[][..] } else { settings });
         let report = trained.map(|t| t.scores(film, changes)).transpose()?;
-        let dut = trained.filter(|_| knows == Knows::Offsets).map(|t| t.on(film, changes)).transpose()?;
+        let dut = trained.filter(|_| offsets).map(|t| t.on(film, changes)).transpose()?;
         let off = match (&dut, knows) {
             (Some(dut), _) => dut.offset_errors()?.ratio,
             (None, Knows::Truth) => [0.0; 2],
             (None, _) => [1.0; 2],
         };
-        let on = dut.as_ref().filter(|_| settings.is_empty());
+        let on = dut.as_ref().filter(|_| knows == Knows::Offsets { retextured: true });
         let errors = textured(subject, on, &table, &clothing)?;
         let mut row: Vec<Cell> = vec![name.into()];
         row.extend(off.map(|v| Cell::from(100.0 * v)));
@@ -74,15 +81,6 @@ pub(super) fn loose(setup: &Setup, log: &mut Log<'_>) -> Result<Findings, LabErr
         out.rows.push(row);
     }
     Ok(out)
-}
-
-/// The setup with the gown in place of the built-in person.
-fn clothed(setup: &Setup) -> Setup {
-    let mut setup = setup.clone();
-    if setup.film.template == AvatarOptions::default().template {
-        setup.film.template = "builtin:gown".into();
-    }
-    setup
 }
 
 /// A film whose poses state the motion that its images show.

@@ -62,11 +62,16 @@ pub struct Experiment {
     pub about: &'static str,
     /// Whether it uses a trained method.
     pub training: Training,
+    /// The character to film where none is named, as [`AvatarOptions::template`].
+    pub template: &'static str,
     run: fn(&Setup, &mut Log<'_>) -> Result<Findings, LabError>,
 }
 
 /// Receives one line of text for each part of an experiment.
 pub type Log<'a> = dyn FnMut(&str) + 'a;
+
+/// The character of most experiments.
+const PERSON: &str = "builtin:person";
 
 /// All experiments.
 pub const EXPERIMENTS: &[Experiment] = &[
@@ -74,61 +79,77 @@ pub const EXPERIMENTS: &[Experiment] = &[
         name: "tex",
         about: "sizes of textures: error, time, bytes; with --steps what the method makes of each",
         training: Training::Optional,
+        template: PERSON,
         run: texture::sizes,
     },
     Experiment {
         name: "motion",
         about: "an elbow that is 0 to 60 degrees wrong, in all frames and growing from frame to frame",
         training: Training::Optional,
+        template: PERSON,
         run: pose::motion,
     },
-    Experiment { name: "mocap", about: "noise on every joint", training: Training::Optional, run: pose::mocap },
+    Experiment {
+        name: "mocap",
+        about: "noise on every joint",
+        training: Training::Optional,
+        template: PERSON,
+        run: pose::mocap,
+    },
     Experiment {
         name: "views",
         about: "1 to 8 conditioning cameras, and one of them left out",
         training: Training::Optional,
+        template: PERSON,
         run: views::views,
     },
     Experiment {
         name: "vis",
         about: "rules of visibility: texture, false visible, false hidden, time",
         training: Training::None,
+        template: PERSON,
         run: visibility::rules,
     },
     Experiment {
         name: "thresholds",
         about: "least cosine and depth tolerance of the four-tap rule",
         training: Training::None,
+        template: PERSON,
         run: visibility::thresholds,
     },
     Experiment {
         name: "loose",
         about: "clothing that swings beside the pose: without offsets, with GeoNet's, on the true surface",
         training: Training::Optional,
+        template: "builtin:gown",
         run: loose::loose,
     },
     Experiment {
         name: "topo",
         about: "a hand that touches the body and leaves it: both textures, and with --steps the images there",
         training: Training::Optional,
+        template: PERSON,
         run: topo::topo,
     },
     Experiment {
         name: "ood",
         about: "a motion never learnt from",
         training: Training::Required,
+        template: PERSON,
         run: learning::unseen_motion,
     },
     Experiment {
         name: "light",
         about: "a light never learnt from, and a few steps of learning under it",
         training: Training::Required,
+        template: PERSON,
         run: learning::other_light,
     },
     Experiment {
         name: "ablate",
         about: "parts left out: of a run at render time, with --steps in training",
         training: Training::Required,
+        template: PERSON,
         run: learning::parts,
     },
 ];

@@ -4,7 +4,7 @@ use super::{LabError, Log, Setup, registry};
 use glam::Vec3;
 use gs_core::{Camera, Image};
 use gs_data::avatar::{AvatarFrame, AvatarScene};
-use gs_data::{Dataset, ImageCache, View};
+use gs_data::{Dataset, ImageCache, ImageU8, View};
 use gs_synth::avatar::generate;
 use gs_texel::surface::{Mesh, Topology};
 use gs_texel::texels::{TexelOptions, TexelTable};
@@ -111,6 +111,14 @@ impl Subject {
         let template = &self.scene.character.template;
         let color = |k| template.colour(table.tri[k] as usize, table.weights(k)).truncate().to_array();
         (0..table.len()).map(color).collect()
+    }
+
+    /// The image of a view as its pinhole camera has it.
+    ///
+    /// # Errors
+    /// If it cannot be read.
+    pub(super) fn image(&self, view: &View) -> Result<Arc<ImageU8>, LabError> {
+        Ok(self.cache.get(view)?)
     }
 
     /// Images of some views with their cameras.

@@ -1,5 +1,6 @@
 //! Experiments at their smallest.
 
+use super::learning::SINGLE_UNPROJECTION;
 use super::*;
 
 fn small(frames: u32) -> Setup {
@@ -22,7 +23,9 @@ fn number(row: &serde_json::Value, column: &str) -> f64 {
 
 #[test]
 fn clothing_is_measured_against_its_true_surface() {
-    let loose = rows("loose", &small(4));
+    let mut gown = small(4);
+    gown.film.template = Experiment::find("loose").unwrap().template.into();
+    let loose = rows("loose", &gown);
     let names: Vec<&str> = loose.iter().map(|r| r["geometry"].as_str().unwrap()).collect();
     assert_eq!(names.len(), 4);
     let of = |k: usize, column: &str| number(&loose[k], column);
@@ -31,7 +34,7 @@ fn clothing_is_measured_against_its_true_surface() {
     assert_eq!(of(1, "texture dB"), of(0, "texture dB"), "its colours are those of the template's texels");
     assert!((0..4).all(|k| of(k, "region PSNR") > 8.0 && of(k, "region SSIM") > 0.0), "{loose:?}");
     // Without training: no offsets are found.
-    assert_eq!(rows("loose", &Setup { recipe: None, ..small(4) }).len(), 2);
+    assert_eq!(rows("loose", &Setup { recipe: None, ..gown.clone() }).len(), 2);
     let still = AvatarOptions { template: "builtin:plate".into(), ..small(2).film };
     let none = Experiment::find("loose").unwrap().run(&Setup { film: still, recipe: None, ..small(2) }, &mut |_| ());
     assert!(matches!(none, Err(LabError::Unfit(why)) if why.contains("nothing")));
@@ -53,6 +56,10 @@ fn contact_is_measured_apart_from_the_rest() {
     }
     let seen = |state: &str| number(of("1st, ray"), &format!("{state} seen %"));
     assert!(seen("contact") < seen("apart"), "the hand hides what it touches");
+    // A method without GeoNet has no surface of it.
+    let mut single = small(8);
+    single.recipe.as_mut().unwrap().sets.extend(SINGLE_UNPROJECTION.iter().map(|s| (*s).to_owned()));
+    assert_eq!(rows("topo", &single).len(), 15);
     // A clip without contact.
     let mut apart = Setup { recipe: None, ..small(4) };
     apart.film.clip = Some("turn".into());

@@ -74,6 +74,8 @@ pub(super) fn topo(setup: &Setup, log: &mut Log<'_>) -> Result<Findings, LabErro
     if let Some(both) = &both {
         let (trained, changes) = one.as_ref().map_or((both, SINGLE_UNPROJECTION), |one| (one, &[]));
         add("method, one texture".into(), empty(), states.scores(trained, changes)?);
+    }
+    if let Some(both) = both.as_ref().filter(|both| both.has_geonet()) {
         let on = |subject: &Option<Subject>| subject.as_ref().map(|s| both.on(&s.film, &[])).transpose();
         let duts = [on(&states.subjects[0])?, on(&states.subjects[1])?];
         let surface = |k: usize, subject: &Subject, frame: &AvatarFrame| {
@@ -132,7 +134,7 @@ impl States {
         let mut cells = [None; 4];
         for (k, subject) in self.subjects.iter().enumerate() {
             let Some(subject) = subject else { continue };
-            let report = trained.scores(&self.region.scored(subject), changes)?;
+            let report = trained.scores(&self.region.scored(subject)?, changes)?;
             cells[2 * k..2 * k + 2].copy_from_slice(&region::scores(Some(&report))[1..]);
         }
         Ok(cells.map(Cell::from))

@@ -72,6 +72,16 @@ impl Trained {
         }
     }
 
+    /// Whether it has learnt offsets from the template.
+    pub(super) fn has_geonet(&self) -> bool {
+        self.values.keys().any(|name| name.starts_with("geo."))
+    }
+
+    /// Its setting `input`, as `KEY=VALUE`.
+    pub(super) fn input(&self) -> String {
+        self.config.get("input").map(|value| format!("input={value}")).unwrap_or_default()
+    }
+
     /// Takes the parameters of a run.
     ///
     /// # Errors

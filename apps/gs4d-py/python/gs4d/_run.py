@@ -18,7 +18,11 @@ def load(path, data=None):
 
 
 class Run:
-    """A trained scene. Times are normalised: 0 is the first training image, 1 the last; others extrapolate."""
+    """A trained scene.
+
+    Times are normalised: 0 is the first training image, 1 the last, or the end of the whole sequence where ``data.time_boundary`` keeps that out
+    of training; what is later than the last training image is extrapolated.
+    """
 
     def __init__(self, native):
         self._native = native

@@ -14,7 +14,7 @@ use gs_data::{Dataset, ImageCache, Split, View, shell_quoted};
 use gs_train::evaluate::split_name;
 use gs4d_eval::covisible::{CovisibleError, CovisibleOptions, Options, mask};
 use serde_json::{Value, json};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Most memory for decoded images, bytes.
 const IMAGE_BYTES: usize = 512 << 20;
@@ -144,7 +144,7 @@ impl Covisible {
     fn how_to_use(&self, dataset: &Dataset) -> String {
         let (data, out) = (self.data.display(), shell_quoted(self.out.display().to_string()));
         match dataset.layout {
-            "hypernerf" if self.out == self.data.join(OF_DYCHECK) => {
+            "hypernerf" if same_folder(&self.out, &self.data.join(OF_DYCHECK)) => {
                 "runs on these data are scored with them; make masks before training, since they count as data"
                     .to_owned()
             }
@@ -162,4 +162,9 @@ impl Covisible {
 /// Whether the reader of the data's layout takes masks of held-out views.
 fn reads_masks(dataset: &Dataset) -> bool {
     matches!(dataset.layout, "hypernerf" | "nerfstudio")
+}
+
+/// Whether two paths are one folder, however they are written.
+fn same_folder(a: &Path, b: &Path) -> bool {
+    a == b || a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b))
 }

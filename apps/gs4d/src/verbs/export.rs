@@ -41,7 +41,7 @@ pub struct Export {
     /// NAME.4dgs a file for programs that read that format.
     #[arg(short, long, value_name = "FILE|DIR")]
     out: PathBuf,
-    /// Normalised times, A..B:N or one; 0 first to 1 last training frame [default: 0].
+    /// Normalised times, A..B:N or one: 0 is the first training image, 1 the last, or the end of the sequence where data.time_boundary keeps that out of training [default: 0].
     #[arg(long, value_name = "TIMES", allow_hyphen_values = true, value_parser = parse::times)]
     times: Option<parse::Times>,
     /// Format of the files in a folder [default: ply].

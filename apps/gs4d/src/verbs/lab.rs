@@ -89,7 +89,7 @@ impl Lab {
             })?;
         }
         let (force, begun) = (self.force, Instant::now());
-        let findings = experiment.run(&self.setup(), &mut |line| global.say(line))?;
+        let findings = experiment.run(&self.setup(experiment), &mut |line| global.say(line))?;
         findings.write(&out, force)?;
         let seconds = begun.elapsed().as_secs_f64();
         let text = format!("{}{} -> {}\n", findings.text(), time_text(seconds), out.display());
@@ -98,12 +98,9 @@ impl Lab {
         Ok(Answer::new(text, json))
     }
 
-    fn setup(self) -> Setup {
+    fn setup(self, experiment: &Experiment) -> Setup {
         let default = Setup::default();
-        let template = match self.template {
-            Some(name) if name != "builtin" => name,
-            _ => default.film.template.clone(),
-        };
+        let template = self.template.filter(|name| name != "builtin").unwrap_or_else(|| experiment.template.to_owned());
         let film = AvatarOptions {
             template,
             clip: self.clip,
@@ -156,7 +153,9 @@ impl From<LabError> for Failure {
                 Self::usage(text).remedy("pass --run RUN, or --steps N to train for the experiment")
             }
             LabError::Unknown { .. } => Self::usage(text).remedy("choose one of them by name"),
-            LabError::Unfit(_) => Self::usage(text),
+            LabError::Unfit(_) => {
+                Self::usage(text).remedy("choose another --template, --clip or --joint, or a run of this person")
+            }
             LabError::Data(e) => e.into(),
             LabError::Run(e) => (*e).into(),
             LabError::Method(e) => e.into(),

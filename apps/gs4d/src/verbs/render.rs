@@ -7,14 +7,14 @@ use crate::device::DeviceFlag;
 use crate::encoder::Encoder;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
-use crate::opening::{RunData, note_extrapolated};
+use crate::opening::{RunData, last_trained, note_extrapolated};
 use crate::output::{check_free, create_folder};
 use crate::parse;
 use crate::progress::Progress;
 use gs_core::io::cameras::{NamedCamera, load_cameras};
 use gs_core::io::images::save_png;
 use gs_core::io::{Limits, exr, load_splats, npy, write_file, y4m};
-use gs_core::{Camera, Image, Splats};
+use gs_core::{Camera, Image, Splats, cast};
 use gs_data::{Dataset, View};
 use gs_raster::RasterOptions;
 use gs_train::capabilities::{FreezeOptions, FreezeReport};
@@ -39,10 +39,12 @@ pub struct Render {
     scene: PathBuf,
     /// Cameras: INRIA cameras.json, a transforms file, or {width,height,fx,fy,cx,cy,world_to_camera} (name, time optional), one or a list;
     /// or `dataset:N`, the N-th test view of a run's data, or training view where there are none; `orbit`, once around the scene; `path`, smoothly through a few training
-    /// cameras of a run's data; `path:FILE`, through those of a file.
+    /// cameras of a run's data; `path:FILE`, through those of a file. Without --time or --times, orbit and path are 60 images over the training span, `path:FILE` over the times
+    /// of its cameras where all have one. A time in a file is normalised, whatever clock the data have.
     #[arg(long, value_name = "FILE|dataset:N|orbit|path|path:FILE")]
     camera: PathBuf,
-    /// Normalised time, 0 first to 1 last training frame; beyond extrapolates [default: the camera's own, else 0].
+    /// Normalised time of all images: 0 is the first training image, 1 the last, or the end of the sequence where data.time_boundary keeps that out of training
+    /// [default: the camera's own, else 0].
     #[arg(long, allow_hyphen_values = true, value_parser = parse::finite, conflicts_with = "times")]
     time: Option<f32>,
     /// Times of a sequence, A..B:N: one camera at all of them, or a camera each.
@@ -101,7 +103,7 @@ enum Format {
     Mp4,
 }
 
-/// Frames of an orbit or path without `--times`.
+/// Images of an orbit or path without `--times`.
 const DEFAULT_FRAMES: usize = 60;
 
 /// The rendered scene.
@@ -157,6 +159,14 @@ impl Scene {
         }
     }
 
+    /// Normalised time of the last training image.
+    fn last_time(&self) -> f32 {
+        match self {
+            Scene::File(_) => 1.0,
+            Scene::Run(run) => last_trained(run),
+        }
+    }
+
     /// The splats at a time, as a camera sees them.
     fn splats(&self, camera: &Camera, time: f32) -> Result<Cow<'_, Splats>, MethodError> {
         Ok(match self {
@@ -168,6 +178,19 @@ impl Scene {
             }
         })
     }
+}
+
+/// Times of keys that are evenly spaced over a path; `None` unless all have one.
+fn key_times(keys: &[NamedCamera]) -> Option<Vec<f32>> {
+    keys.iter().map(|k| k.time).collect()
+}
+
+/// Linear between evenly spaced values at a share of 0..1; there are two or more.
+fn between(values: &[f32], share: f32) -> f32 {
+    let way = share * (values.len() - 1) as f32;
+    let k = cast::to_usize(f64::from(way)).min(values.len() - 2);
+    let w = way - k as f32;
+    (1.0 - w) * values[k] + w * values[k + 1]
 }
 
 /// Fails unless all values of the splats at a time are in their domains.
@@ -263,7 +286,11 @@ impl Render {
         let views: Vec<Camera> = cameras.iter().map(|c| c.camera.clone()).collect();
         let options = FreezeOptions { pixels: pixels as f32, ..FreezeOptions::usual(&views) };
         let Some((resting, report)) = run.loaded.model.freeze_static(&options) else {
-            return Ok("no splat rests".to_owned());
+            return Ok(
+                "nothing is left at rest: every splat moves further than that, or this run's method leaves none \
+                       (modec with lgd.encoder=hash)"
+                    .to_owned(),
+            );
         };
         run.loaded.model = resting;
         let FreezeReport { still, splats, bound_pixels, probes, .. } = report;
@@ -302,18 +329,21 @@ impl Render {
             let orbit = scene.orbit()?.ok_or_else(|| {
                 Failure::usage("there is nothing to go around: the cameras look in one direction, or there is no splat")
             })?;
-            return Ok(self.series("orbit", |k, n| orbit.at(k as f64 / n as f64)));
+            let times = [0.0, scene.last_time()];
+            return Ok(self.series("orbit", &times, |k, n| orbit.at(k as f64 / n as f64)));
         }
         if name == "path" || name.starts_with("path:") {
-            let flight = match name.strip_prefix("path:") {
+            let (flight, times) = match name.strip_prefix("path:") {
                 Some(file) => {
                     let keys = load_cameras(Path::new(file), &Limits::default())?;
-                    Flight::through(&keys.into_iter().map(|k| k.camera).collect::<Vec<_>>())
+                    let times = key_times(&keys);
+                    (Flight::through(&keys.into_iter().map(|k| k.camera).collect::<Vec<_>>()), times)
                 }
-                None => Flight::of_views(&scene.training_views("--camera path")?),
+                None => (Flight::of_views(&scene.training_views("--camera path")?), None),
             };
             let flight = flight.ok_or_else(|| Failure::usage("a path leads through two cameras or more"))?;
-            return Ok(self.series("path", |k, n| Some(flight.at(k as f64 / (n.max(2) - 1) as f64))));
+            let times = times.unwrap_or_else(|| vec![0.0, scene.last_time()]);
+            return Ok(self.series("path", &times, |k, n| Some(flight.at(k as f64 / (n.max(2) - 1) as f64))));
         }
         let Some(number) = name.strip_prefix("dataset:") else {
             return Ok(load_cameras(&self.camera, &Limits::default())?);
@@ -331,10 +361,13 @@ impl Render {
         Ok(vec![NamedCamera { name, camera, time: Some(time.normalised) }])
     }
 
-    /// As many cameras as there are times, else [`DEFAULT_FRAMES`]; `at(k, n)` is the `k`-th of `n`.
-    fn series(&self, name: &str, at: impl Fn(usize, usize) -> Option<Camera>) -> Vec<NamedCamera> {
+    /// As many cameras as `--times` has, else [`DEFAULT_FRAMES`]; `at(k, n)` is the `k`-th of `n`. Time passes through `times`, evenly spaced over the series.
+    fn series(&self, name: &str, times: &[f32], at: impl Fn(usize, usize) -> Option<Camera>) -> Vec<NamedCamera> {
         let n = self.times.as_ref().map_or(DEFAULT_FRAMES, |t| t.0.len());
-        let named = |k: usize| Some(NamedCamera { name: format!("{name}-{k:04}"), camera: at(k, n)?, time: None });
+        let named = |k: usize| {
+            let time = between(times, k as f32 / (n.max(2) - 1) as f32);
+            Some(NamedCamera { name: format!("{name}-{k:04}"), camera: at(k, n)?, time: Some(time) })
+        };
         (0..n).filter_map(named).collect()
     }
 

@@ -268,6 +268,32 @@ fn a_video_goes_around_the_scene_while_time_passes() {
 }
 
 #[test]
+fn time_passes_on_an_orbit_and_between_the_keys_of_a_path() {
+    let dir = tempfile::tempdir().unwrap();
+    let render = |name: &str, camera: &str, more: &[&str]| {
+        let out = dir.path().join(name);
+        let all = ["render", text(run()), "--camera", camera, "--size", "16x16", "--format", "npy", "-o", text(&out)];
+        good(&[&all[..], more].concat());
+        let mut files: Vec<_> = fs::read_dir(&out).unwrap().map(|f| f.unwrap().path()).collect();
+        files.sort();
+        let values = |f: PathBuf| npy::read(&fs::read(f).unwrap(), "npy", &Limits::default()).unwrap().to_f32();
+        files.into_iter().map(values).collect::<Vec<Vec<f32>>>()
+    };
+    let orbit =
+        [render("o", "orbit", &[]), render("o0", "orbit", &["--time", "0"]), render("o1", "orbit", &["--time", "1"])];
+    assert_eq!(orbit.each_ref().map(Vec::len), [60; 3]);
+    assert!(orbit[0][0] == orbit[1][0] && orbit[0][59] == orbit[2][59], "from the first to the last training image");
+    assert!(orbit[0][59] != orbit[1][59], "this scene moves");
+
+    let file = data().join("transforms_test.json");
+    let (path, keys) = (render("p", &format!("path:{}", text(&file)), &[]), render("k", text(&file), &[]));
+    let off = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    for (on_path, key) in [(0, 0), (59, keys.len() - 1)] {
+        assert!(off(&path[on_path], &keys[key]) < 1e-3, "{on_path}");
+    }
+}
+
+#[test]
 fn pictures_have_the_size_and_angle_that_are_asked_for() {
     let dir = tempfile::tempdir().unwrap();
     let picture = |name: &str, more: &[&str]| {

@@ -55,6 +55,7 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     scene.admit(ENTRY.name, &[config.field.param_count()])?;
     let field = DefMlp::new(&config.field, scene.seed).map_err(wrong)?;
     let canonical = Canonical::new(&config.cloud, &mut config.schedule, scene)?;
-    let method = Deformed::new(canonical, field, config.anneal, scene.views).resting(config.still, scene);
+    let method =
+        Deformed::new(canonical, field, config.anneal, scene.views).resting(ENTRY.name, config.still, scene)?;
     Model::new(ENTRY.name, method, config.schedule)
 }

@@ -59,9 +59,18 @@ impl<F: Field> Deformed<F> {
     }
 
     /// The same, still splats left out of the field while training.
-    pub(crate) fn resting(self, config: StillConfig, scene: &SceneInfo) -> Self {
+    ///
+    /// # Errors
+    /// As [`StillConfig::check`], of the method of that name.
+    pub(crate) fn resting(
+        self,
+        method: &'static str,
+        config: StillConfig,
+        scene: &SceneInfo,
+    ) -> Result<Self, MethodError> {
+        config.check().map_err(|why| MethodError::Config { method, why })?;
         let resting = StillRows::new(config, self.canonical.cloud.len(), scene.last_time);
-        Self { resting, ..self }
+        Ok(Self { resting, ..self })
     }
 
     /// The same without the field's regularisers before this step of the run.

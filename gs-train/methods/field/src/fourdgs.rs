@@ -58,6 +58,6 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let field = HexPlaneField::new("field", &config.field, aabb, scene.seed).map_err(wrong)?;
     let canonical = Canonical::new(&config.cloud, &mut config.schedule, scene)?;
     let no_anneal = Anneal { strength: 0.0, ..Anneal::default() };
-    let method = Deformed::new(canonical, field, no_anneal, scene.views).resting(config.still, scene);
+    let method = Deformed::new(canonical, field, no_anneal, scene.views).resting(ENTRY.name, config.still, scene)?;
     Model::new(ENTRY.name, method, config.schedule)
 }

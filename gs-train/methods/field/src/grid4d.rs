@@ -121,7 +121,7 @@ pub(super) fn build_as(name: &'static str, table: &toml::Table, scene: &SceneInf
     let field = Grid4dField::new(&config.field, scene.seed).map_err(|e| wrong(e.to_string()))?;
     let canonical = Canonical::new(&config.cloud, &mut config.schedule, scene)?;
     let no_anneal = Anneal { strength: 0.0, ..Anneal::default() };
-    let method = Deformed::new(canonical, field, no_anneal, scene.views).resting(config.still, scene);
+    let method = Deformed::new(canonical, field, no_anneal, scene.views).resting(name, config.still, scene)?;
     let method = method.regularised_from(config.smooth_from);
     Model::new(name, method, config.schedule)
 }

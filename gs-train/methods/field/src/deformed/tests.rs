@@ -77,7 +77,8 @@ fn glide(over: &[&str]) -> (Deformed<Glide>, fourdgs::Config, SceneInfo) {
     let field = Glide { pace: Param::shared("field.pace", vec![0.5]), learnt_from: Arc::default() };
     let canonical = Canonical::new(&config.cloud, &mut config.schedule, &info).unwrap();
     let no_anneal = Anneal { strength: 0.0, ..Anneal::default() };
-    let method = Deformed::new(canonical, field, no_anneal, info.views).resting(config.still, &info);
+    let method =
+        Deformed::new(canonical, field, no_anneal, info.views).resting("fourdgs", config.still, &info).unwrap();
     (method, config, info)
 }
 
