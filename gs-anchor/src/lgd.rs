@@ -111,6 +111,19 @@ impl LgdConfig {
     /// Whether a field of hash grids can be what these settings say.
     fn check_hash(&self) -> Result<(), DeformError> {
         let FourDgsConfig { move_means, move_scales, move_quats, scale_rule, detach_coordinates, .. } = self.field;
+        const MOST: (usize, u32) = (64, 24);
+        let LgdHashConfig { canonical, temporal, .. } = &self.hash;
+        if [canonical, temporal].iter().any(|g| g.levels > MOST.0 || g.log2_table > MOST.1) {
+            let value = format!(
+                "{} and {} levels of 2^{} and 2^{} entries",
+                canonical.levels, temporal.levels, canonical.log2_table, temporal.log2_table
+            );
+            return Err(DeformError::Config {
+                field: "lgd.hash",
+                value,
+                rule: "at most 64 levels of at most 2^24 entries",
+            });
+        }
         let values = self.hash.values();
         let rules = [
             (move_means, "lgd.move_means", "false".to_owned(), "true with hash grids"),

@@ -18,6 +18,7 @@
 //! ```
 
 use crate::error::{MetricError, check_pair, explain_non_finite};
+use crate::masked::check_masked;
 use glam::DMat3;
 use gs_core::Image;
 use rayon::prelude::*;
@@ -38,6 +39,8 @@ pub struct ColorMap {
 /// Values from here on are saturated.
 pub const SATURATED: f32 = 1.0;
 
+/// Smallest ridge: images of one colour leave a map open.
+const LEAST_RIDGE: f64 = 1e-12;
 /// A matrix of a smaller determinant has no inverse.
 const LEAST_DETERMINANT: f64 = 1e-6;
 
@@ -53,11 +56,11 @@ impl ColorMap {
     /// Nothing is changed.
     pub const IDENTITY: Self = Self { matrix: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] };
 
-    /// The map from `image` to `truth`, both `[H, W, 3]`, over the pixels where `mask`, `[H, W, 1]`, counts; `ridge` is `ρ`, above 0. The identity for an
-    /// empty mask.
+    /// The map from `image` to `truth`, both `[H, W, 3]`, over the pixels where `mask`, `[H, W, 1]`, counts; `ridge` is `ρ`, at least 1e-12, as
+    /// which smaller ones are taken. The identity for an empty mask.
     ///
     /// # Errors
-    /// Different shapes, other than three channels, or a value that is not finite.
+    /// Different shapes, other than three channels, a value that is not finite, or a mask below 0.
     pub fn fit(image: &Image, truth: &Image, mask: Option<&Image>, ridge: f64) -> Result<Self, MetricError> {
         check_pair(image, truth)?;
         let (width, height) = (image.width, image.height);
@@ -65,9 +68,10 @@ impl ColorMap {
         if image.channels != 3 {
             return wrong("image and colours", image.shape(), (width, height, 3));
         }
-        if let Some(mask) = mask.filter(|m| m.shape() != (width, height, 1)) {
-            return wrong("image and mask", image.shape(), mask.shape());
+        if let Some(mask) = mask {
+            check_masked(image, truth, mask)?;
         }
+        let ridge = ridge.max(LEAST_RIDGE);
         let pairs = image.data.par_chunks(3 * CHUNK).zip(truth.data.par_chunks(3 * CHUNK)).enumerate();
         let parts: Vec<Sums> = pairs
             .map(|(k, (x, y))| {

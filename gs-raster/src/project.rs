@@ -441,11 +441,15 @@ fn point_backward<T: Real>(view: &View, fp: &Footprint<T>, mean2d: [T; 2], d_j: 
     d
 }
 
-/// Colour of SH coefficients `row` (`[K, 3]`) seen from `position`, clamped at zero.
+/// Largest colour of SH coefficients: finite, with room for sums over splats.
+const MAX_COLOR: f32 = 1e37;
+
+/// Colour of SH coefficients `row` (`[K, 3]`) seen from `position`, clamped at zero and at [`MAX_COLOR`].
 #[inline(always)]
+#[expect(clippy::manual_clamp, reason = "a sum of opposite infinities is no number, and becomes 0")]
 pub(crate) fn sh_color(mean: Vec3, position: [f64; 3], degree: u8, row: &[f32]) -> [f32; 3] {
     let basis = view_basis(mean, position, degree).0;
-    sh_color_unclamped(&basis, row).map(|v| v.max(0.0))
+    sh_color_unclamped(&basis, row).map(|v| v.max(0.0).min(MAX_COLOR))
 }
 
 #[inline(always)]

@@ -126,8 +126,8 @@ fn turn(frame: &DAffine3) -> DMat3 {
 
 /// The frame of a node in the world.
 fn above(skeleton: &Skeleton, pose: &crate::skeleton::Pose, node: u32) -> DAffine3 {
-    let local = pose.locals[node as usize].affine();
-    skeleton.nodes[node as usize].parent.map_or(local, |p| above(skeleton, pose, p) * local)
+    let chain: Vec<u32> = std::iter::successors(Some(node), |n| skeleton.nodes[*n as usize].parent).collect();
+    chain.iter().rev().fold(DAffine3::IDENTITY, |frame, n| frame * pose.locals[*n as usize].affine())
 }
 
 /// The partners among the descendants of partner `k` that have no partner in between: the ends of its bones.

@@ -285,13 +285,16 @@ struct Fill {
     bary: Vec<[f32; 2]>,
     area: f64,
     first_overlap: Option<(u32, u32, u32)>,
+    /// Whether a texel lies in more than one triangle.
+    shared: Vec<bool>,
     report: TexelReport,
 }
 
 impl Fill {
     fn new(size: usize) -> Self {
         let (owner, bary) = (vec![NONE; size * size], vec![[0.0; 2]; size * size]);
-        Self { size, owner, bary, area: 0.0, first_overlap: None, report: TexelReport::default() }
+        let shared = vec![false; size * size];
+        Self { size, owner, bary, area: 0.0, first_overlap: None, shared, report: TexelReport::default() }
     }
 
     /// Assigns the texels of a face, of either orientation.
@@ -322,7 +325,7 @@ impl Fill {
     fn assign(&mut self, face: u32, texel: usize, [b0, b1]: [f64; 2]) {
         let owner = self.owner[texel];
         if owner != NONE {
-            self.report.overlaps += 1;
+            self.report.overlaps += usize::from(!std::mem::replace(&mut self.shared[texel], true));
             self.first_overlap.get_or_insert((texel as u32, owner, face));
             return;
         }

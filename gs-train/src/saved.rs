@@ -187,6 +187,7 @@ pub fn load_with(
     let cameras = *model.cameras().config();
     let mut model = model.with_cameras(cameras, meta.corrected_cameras);
     if let Ok(maps) = checkpoint.tensor(EXPOSURES) {
+        check_finite(EXPOSURES, maps)?;
         *model.exposures_mut() = Exposures::of(maps);
     }
     restore(&mut model, &checkpoint.tensors)?;
@@ -261,7 +262,10 @@ fn restore_block(p: &mut Param, tensors: &BTreeMap<&str, &Vec<f32>>, rows: &mut 
     check_finite(name, value)?;
     for (suffix, moment) in [("#m1", &mut p.moment1), ("#m2", &mut p.moment2)] {
         *moment = match tensors.get(format!("{name}{suffix}").as_str()) {
-            Some(m) if m.len() == value.len() => m.to_vec(),
+            Some(m) if m.len() == value.len() => {
+                check_finite(&format!("{name}{suffix}"), m)?;
+                m.to_vec()
+            }
             Some(m) => {
                 return Err(format!("tensor `{name}{suffix}` has {} values, {} are needed", m.len(), value.len()));
             }

@@ -15,17 +15,14 @@ use gs_core::Rng;
 #[cfg(feature = "cloud")]
 use gs_core::neighbours::mean_squared_distances;
 use gs_data::avatar::AvatarScene;
-use gs_data::{Dataset, PointCloud, View};
+use gs_data::moments::{distinct, median_step};
+use gs_data::{Dataset, PointCloud};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 #[cfg(feature = "cloud")]
 /// Squared neighbour distances below this count as this.
 const MIN_SQUARED_DISTANCE: f32 = 1e-7;
-
-/// Images of different cameras closer than this share of an even interval between them are of one moment.
-const TOGETHER: f32 = 0.25;
 
 /// Least images of the first timestamp that tell its hull.
 const FIRST_VIEWS: usize = 8;
@@ -141,7 +138,7 @@ impl SceneInfo {
             return Err(MethodError::Scene(format!("its extent is {extent}; cameras and points coincide")));
         }
         let (views, timestamps, last_time, frame_interval) = Default::default();
-        let first_interval = median_step(&moments(&dataset.train));
+        let first_interval = median_step(&distinct(&dataset.train));
         let view_spacing = dataset.view_spacing();
         let avatar = dataset.avatar.clone();
         let max_parameters = MAX_PARAMETERS;
@@ -165,44 +162,11 @@ impl SceneInfo {
     /// The same scene as the training views of a data set show it, which may hold more than it was made from: its numbers of
     /// views and timestamps, its last time and the distance of timestamps.
     pub(crate) fn seen_in(self, dataset: &Dataset) -> Self {
-        let moments = moments(&dataset.train);
+        let moments = distinct(&dataset.train);
         let last = dataset.train.iter().map(|v| v.time.normalised).max_by(f32::total_cmp);
         let (views, last_time) = (dataset.train.len() as u32, last.unwrap_or(1.0));
         Self { views, timestamps: moments.len() as u32, last_time, frame_interval: median_step(&moments), ..self }
     }
-}
-
-/// The different moments of training, normalised, in order. Images that several cameras took almost together are of one: those
-/// less than [`TOGETHER`] of the interval apart that these cameras would have if they took turns.
-fn moments(views: &[View]) -> Vec<f32> {
-    let mut of_cameras: BTreeMap<u32, Vec<f32>> = BTreeMap::new();
-    views.iter().for_each(|v| of_cameras.entry(v.camera_id).or_default().push(v.time.normalised));
-    let cameras = of_cameras.len();
-    let turns: Vec<f32> = of_cameras.into_values().flat_map(|times| steps(&sorted(times))).collect();
-    let apart = if cameras > 1 { TOGETHER * median(turns) / cameras as f32 } else { 0.0 };
-    let times = sorted(views.iter().map(|v| v.time.normalised).collect());
-    let mean = |t: &[f32]| (t.iter().map(|t| f64::from(*t)).sum::<f64>() / t.len() as f64) as f32;
-    times.chunk_by(|a, b| b - a <= apart).map(mean).collect()
-}
-
-fn sorted(mut values: Vec<f32>) -> Vec<f32> {
-    values.sort_by(f32::total_cmp);
-    values
-}
-
-/// The intervals between different times, which are in order.
-fn steps(times: &[f32]) -> Vec<f32> {
-    times.windows(2).map(|t| t[1] - t[0]).filter(|step| *step > 0.0).collect()
-}
-
-/// The upper median; 0 of nothing.
-fn median(values: Vec<f32>) -> f32 {
-    let values = sorted(values);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
-}
-
-fn median_step(times: &[f32]) -> f32 {
-    median(steps(times))
 }
 
 fn first_points(dataset: &Dataset, init: &InitConfig, seed: u64) -> Result<PointCloud, MethodError> {
@@ -269,33 +233,6 @@ mod tests {
 
     fn config() -> CloudConfig {
         CloudConfig { sh_degree: 0, opacity: 0.1, spread: 1.0, kernel: KernelConfig::default() }
-    }
-
-    /// Views of cameras, `(number, time)`.
-    fn shots(shots: impl IntoIterator<Item = (u32, f32)>) -> Vec<View> {
-        let camera = gs_core::Camera::look_at(8, 8, 0.7, glam::DVec3::Z, glam::DVec3::ZERO, glam::DVec3::Y).unwrap();
-        let view = |(camera_id, t): (u32, f32)| {
-            let time = gs_core::Time { normalised: t, seconds: t.into() };
-            View::new("v", camera.clone(), time, gs_data::ImageSource::File("v.png".into()), camera_id)
-        };
-        shots.into_iter().map(view).collect()
-    }
-
-    #[test]
-    fn cameras_that_are_not_quite_together_show_one_moment() {
-        let mut rng = Rng::new(3, "jitter", 0, 0);
-        let frames = 0..31;
-        let film = |jitter: f32| {
-            let all = frames.clone().flat_map(|k| (0..8).map(move |c| (c, k as f32 / 30.0)));
-            shots(all.map(|(c, t)| (c, t + jitter * rng.range(-1.0, 1.0))).collect::<Vec<_>>())
-        };
-        let [exact, off] = [0.0, 1e-3].map(film).map(|views| moments(&views));
-        assert_eq!((exact.len(), off.len()), (31, 31));
-        assert!((median_step(&off) * 30.0 - 1.0).abs() < 0.1, "{}", median_step(&off));
-        // One camera may see as quickly as it likes, and cameras that take turns see a moment each.
-        let quick = moments(&shots([0.0, 0.001, 0.5, 0.501, 1.0].map(|t| (0, t))));
-        let turns = moments(&shots((0..24).map(|k| (k % 8, k as f32))));
-        assert_eq!((quick.len(), turns.len(), median_step(&turns)), (5, 24, 1.0));
     }
 
     #[test]

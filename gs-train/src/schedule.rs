@@ -322,7 +322,11 @@ impl Schedule {
             need(good, &format!("stages.{name}.image_scale"), s.image_scale, "above 0, at most 1")?;
             let until = s.window_until;
             need((0.0..=LATEST_WINDOW).contains(&until), &format!("stages.{name}.window_until"), until, "0 to 0.7")?;
+            let closed = s.window_parts > 1 && until == 0.0;
+            need(!closed, &format!("stages.{name}.window_until"), until, "above 0 where window_parts is above 1")?;
             let newest = s.window_newest;
+            let idle = newest > 0.0 && s.window_parts <= 1;
+            need(!idle, &format!("stages.{name}.window_newest"), newest, "0 where window_parts is not above 1")?;
             need((0.0..=0.5).contains(&newest), &format!("stages.{name}.window_newest"), newest, "0 to 0.5")?;
             let same = self.stages.values().filter(|o| o.order == s.order).count();
             need(same == 1, &format!("stages.{name}.order"), s.order.into(), "each stage needs a number of its own")?;
@@ -442,6 +446,9 @@ pub(crate) mod tests {
             assert_eq!(growing.len() as u32, stage.alike_from(), "{steps}");
             assert!(growing.windows(2).all(|w| w[0] <= w[1]) && stage.alike_from() <= steps - steps * 3 / 10);
             assert!(growing.iter().enumerate().all(|(offset, w)| w.1 > offset as u32 && w.1 <= stage.alike_from()));
+        }
+        for idle in [Stage { window_until: 0.0, ..windowed(10) }, Stage { window_newest: 0.5, ..stage(10, false) }] {
+            assert!(schedule(vec![idle]).check().is_err(), "a window that never is");
         }
         let published = Stage { window_until: 7000.0 / 37000.0, ..windowed(37_000) };
         assert_eq!(published.window(999), Some((0.125, 1000)));

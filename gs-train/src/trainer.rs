@@ -147,7 +147,7 @@ impl Trainer {
             return Err(MethodError::Config { method: model.name(), why: why.into() }.into());
         }
         let images = Arc::new(image_cache(&dataset, &options, 1.0));
-        let order = ViewOrder::new(options.seed, dataset.train.iter().map(|v| v.time.normalised).collect());
+        let order = ViewOrder::new(options.seed, gs_data::moments::of_views(&dataset.train));
         let (adam, pass, config, updates) = (
             Adam::new(model.schedule().adam()),
             RenderPass::new(model.take_image_loss()),
@@ -201,7 +201,8 @@ impl Trainer {
     }
 
     /// The same run on data that hold more views, with another configuration (a longer schedule): parameters, moments of the
-    /// optimiser and buffers go on bit for bit, and the method is built for the new last training time.
+    /// optimiser and buffers go on bit for bit, and the method is built for the new last training time. Exposures of images are fitted anew
+    /// where there are others.
     ///
     /// # Errors
     /// As [`Trainer::resume`].
@@ -227,7 +228,9 @@ impl Trainer {
         config: &toml::Table,
         image_bytes: usize,
     ) -> Result<Self, TrainError> {
-        let loaded = saved::load_with(registry, checkpoint, None, dataset.avatar.clone()).map_err(TrainError::State)?;
+        let mut loaded =
+            saved::load_with(registry, checkpoint, None, dataset.avatar.clone()).map_err(TrainError::State)?;
+        loaded.model.exposures_mut().keep_of(dataset.train.len());
         let (scene, adam_updates) = (loaded.scene.seen_in(&dataset), &loaded.adam_updates);
         let (step, train_seconds) = (loaded.step, loaded.train_seconds);
         let run = saved::RunState { config, scene: &scene, step, adam_updates, train_seconds };

@@ -155,7 +155,7 @@ impl<'a> Clocks<'a> {
         let finding = (!late.is_empty()).then(|| {
             let shift = TimeShift(late.iter().filter_map(shift).collect());
             let what = format!("{} cameras run early or late (each named by its first view)", late.len());
-            let fix = format!("--set data.time_shift={shift}");
+            let fix = format!("--set data.time_shift={shift}, or --fix, which adds it to the shifts in scene.toml");
             let finding = Finding::new("time", "time.late", Verdict::Warning, what).at(late.iter().map(name)).fix(fix);
             finding.setting(Some(Setting::Shift(shift)))
         });

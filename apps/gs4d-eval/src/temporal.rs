@@ -6,6 +6,7 @@
 
 use crate::folders::VideoScore;
 use gs_data::{DataError, Dataset, Split, View};
+use gs_metrics::Quantise;
 use gs_metrics::{MetricError, Tof, TofOptions};
 use gs_train::cameras::Correction;
 use gs_train::evaluate::{EvalError, Scoring, place};
@@ -128,14 +129,18 @@ impl<'a> Films<'a> {
 
     /// tOF of a video, views in order of time.
     fn score(&mut self, views: &[&View], options: TofOptions) -> Result<VideoScore, TemporalError> {
-        let Scoring { background, images, .. } = *self.scoring;
+        let Scoring { background, images, quantise, .. } = *self.scoring;
         let mut tof = Tof::new(options);
         for &view in views {
             let row = self.all.iter().position(|v| std::ptr::eq(v, view));
             let correction = row.and_then(|row| *self.corrections.get(row)?);
             let shown = correction.unwrap_or_default().corrected(view);
-            let image = self.renderer.view(self.method, &shown, &images.camera(&shown))?;
-            let truth = images.get(view)?.over(background);
+            let mut image = self.renderer.view(self.method, &shown, &images.camera(&shown))?;
+            let mut truth = images.get(view)?.over(background);
+            quantise.apply(&mut image);
+            if quantise != Quantise::None {
+                Quantise::Round.apply(&mut truth);
+            }
             tof.add(&image, &truth).map_err(|source| TemporalError::Metric { view: view.name.clone(), source })?;
         }
         let last = views.last().map_or(String::new(), |v| v.name.clone());

@@ -137,6 +137,7 @@ pub fn import(
     let work = data.join(WORK);
     let runner = Runner { stop, log: work.join("log.txt") };
     let mut job = Job { data, work, state, runner: &runner, sources: sources(source)?, threads, tell };
+    job.check_held_out()?;
     job.runner.find(program::COLMAP, "help")?;
     match source {
         Source::Videos(files) => job.videos(files)?,

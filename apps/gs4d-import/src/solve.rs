@@ -40,6 +40,9 @@ impl Job<'_> {
     /// Finds the cameras and writes the data set.
     pub(crate) fn finish(&mut self) -> Result<Imported, ImportError> {
         let rig = self.state.rig.unwrap_or(Rig::Moving);
+        if rig == Rig::Moving && self.settings().held_out.is_some() {
+            self.say("note: these cameras move: no camera is held out as a whole, and --held-out has no effect");
+        }
         let placed = match rig {
             Rig::Fixed => self.rig()?,
             Rig::Moving => self.moving()?,
@@ -309,7 +312,7 @@ impl Job<'_> {
     fn write(&mut self, rig: Rig, placed: Placed, reprojection: Option<f64>) -> Result<Imported, ImportError> {
         let cameras: Vec<&Camera> = placed.frames.iter().map(|f| &f.1.camera).collect();
         let change = upright(&cameras, &placed.points);
-        let held_out = self.held_out(rig, &placed)?;
+        let held_out = self.held_out(rig, &placed);
         let fps = self.state.cut.as_ref().map(|c| c.fps).filter(|_| !self.settings().unordered);
         let files = self.all_files()?;
         let numbered = rig == Rig::Fixed || self.sources.len() > 1;
@@ -352,25 +355,34 @@ impl Job<'_> {
         given.or_else(|| self.state.clocks.as_ref().filter(|c| c.known[camera]).map(|c| c.offsets[camera]))
     }
 
+    /// Fails if the camera to hold out is none of several.
+    pub(crate) fn check_held_out(&self) -> Result<(), ImportError> {
+        let n = self.sources.len();
+        match self.settings().held_out {
+            Some(asked) if asked as usize >= n || n < 2 => Err(ImportError::Cameras {
+                what: format!("there is no camera {asked} to hold out"),
+                fix: match n {
+                    0 | 1 => "leave --held-out out: there is one camera".to_owned(),
+                    n => format!("cameras are numbered from 0 to {}", n - 1),
+                },
+            }),
+            _ => Ok(()),
+        }
+    }
+
     /// The camera of a rig whose frames are for tests.
-    fn held_out(&self, kind: Rig, placed: &Placed) -> Result<Option<usize>, ImportError> {
+    fn held_out(&self, kind: Rig, placed: &Placed) -> Option<usize> {
         const LEAST_CAMERAS: usize = 5;
         let n = self.sources.len();
         if kind != Rig::Fixed {
-            return Ok(None);
+            return None;
         }
-        match self.settings().held_out {
-            Some(asked) if (asked as usize) < n && n > 1 => Ok(Some(asked as usize)),
-            Some(asked) => Err(ImportError::Cameras {
-                what: format!("there is no camera {asked} to hold out"),
-                fix: format!("cameras are numbered from 0 to {}", n.saturating_sub(1)),
-            }),
-            None if n < LEAST_CAMERAS => Ok(None),
-            None => {
-                let first = |c: usize| placed.frames.iter().find(|f| f.0[0] == c).map(|f| &f.1.camera);
-                Ok(central(&(0..n).filter_map(first).collect::<Vec<_>>()))
-            }
+        let asked = self.settings().held_out.map(|camera| camera as usize);
+        if asked.is_some() || n < LEAST_CAMERAS {
+            return asked;
         }
+        let first = |c: usize| placed.frames.iter().find(|f| f.0[0] == c).map(|f| &f.1.camera);
+        central(&(0..n).filter_map(first).collect::<Vec<_>>())
     }
 }
 

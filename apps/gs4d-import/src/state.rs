@@ -239,11 +239,14 @@ impl State {
         }
     }
 
-    /// This import, if another call asks for the same.
-    fn agree(self, asked: Self, data: &Path) -> Result<Self, ImportError> {
+    /// This import, if another call asks for the same. Until it is done it may hold out another camera.
+    fn agree(mut self, asked: Self, data: &Path) -> Result<Self, ImportError> {
         let changed = |what: String| Err(ImportError::Changed { folder: data.to_path_buf(), what });
         if self.inputs != asked.inputs {
             return changed("inputs".to_owned());
+        }
+        if self.finished.is_none() {
+            self.settings.held_out = asked.settings.held_out;
         }
         let [old, new] = [&self.settings, &asked.settings].map(|s| serde_json::to_value(s).unwrap_or_default());
         let differs = old.as_object().into_iter().flatten().find(|(key, value)| new.get(key) != Some(value));

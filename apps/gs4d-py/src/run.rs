@@ -42,13 +42,20 @@ impl Run {
         self.0.kept().unwrap_or_default()
     }
 
+    /// Name, camera and normalised time of the training views, or of those that were kept, as they were learnt.
+    fn views(&self) -> Vec<(String, Camera, f32)> {
+        let (views, placed) = (self.0.training_views().unwrap_or_default(), self.0.placed());
+        let learnt = views.iter().map(|view| placed.view(view));
+        learnt.map(|view| (view.name, view.camera, view.time.normalised)).collect()
+    }
+
     /// The camera asked for; else a training camera, or one at the origin.
     fn camera(&self, matrices: Option<Matrices>) -> PyResult<Camera> {
         if let Some((viewmat, k, width, height)) = matrices {
             return camera(0, viewmat, k, width, height);
         }
-        match self.kept().train.into_iter().next() {
-            Some(view) => Ok(view.camera),
+        match self.views().into_iter().next() {
+            Some((_, camera, _)) => Ok(camera),
             None => Camera::look_at(64, 64, 1.0, DVec3::ZERO, DVec3::Z, DVec3::NEG_Y).map_err(error),
         }
     }
@@ -85,8 +92,8 @@ impl Run {
             let k = [c.fx, 0.0, c.cx, 0.0, c.fy, c.cy, 0.0, 0.0, 1.0];
             (c.viewmat().transpose().to_cols_array(), k, c.width, c.height)
         };
-        let views = py.detach(|| self.kept().train);
-        views.into_iter().map(|view| (view.name, of(&view.camera), view.time.normalised)).collect()
+        let views = py.detach(|| self.views());
+        views.into_iter().map(|(name, camera, time)| (name, of(&camera), time)).collect()
     }
 
     /// All splats at a normalised time, in the same order at every time.

@@ -296,7 +296,10 @@ fn seeds(sides: &[Side], runs: &[Row]) -> String {
     }
     let several_seeds = |of: &[usize]| of.iter().any(|k| runs[*k].seed != runs[of[0]].seed);
     let spread = |(_, of): &(BTreeMap<&str, String>, Vec<usize>)| {
-        let psnr: Vec<f64> = of.iter().filter_map(|k| runs[*k].scores.mean.psnr).collect();
+        // One run for each seed: a repeated one says nothing of the spread.
+        let by_seed: BTreeMap<u64, Option<f64>> =
+            of.iter().rev().map(|k| (runs[*k].seed, runs[*k].scores.mean.psnr)).collect();
+        let psnr: Vec<f64> = by_seed.into_values().flatten().collect();
         let Spread { mean, deviation } = Spread::of(&psnr).filter(|_| several_seeds(of))?;
         let names: Vec<String> = of.iter().map(|k| format!("{} (seed {})", runs[*k].name, runs[*k].seed)).collect();
         Some(format!("{} are one recipe: {mean:.2} ± {deviation:.2} dB over {} seeds.", names.join(", "), psnr.len()))

@@ -14,6 +14,8 @@ use std::sync::Arc;
 const MAX_CAMERAS: usize = 16;
 /// Number of timestamps kept, at most.
 const MAX_TIMES: usize = 400;
+/// The field with the number of the physical camera; where it is missing, cameras are numbered as they come.
+const CAMERA_ID: &str = "camera_id";
 /// What follows from the others.
 const DERIVED: [&str; 3] = ["id", "position", "rotation"];
 
@@ -121,7 +123,7 @@ fn spaced<T: Clone>(all: &[T], most: usize) -> Vec<T> {
 fn without_images(views: &[View]) -> Vec<View> {
     let n = views.len().min(MAX_CAMERAS);
     let views = (0..n).filter_map(|k| views.get(k * views.len() / n));
-    (0..).zip(views).map(|(k, v)| View::new(&v.name, v.camera.clone(), v.time, no_image(), k)).collect()
+    views.map(|v| View::new(&v.name, v.camera.clone(), v.time, no_image(), v.camera_id)).collect()
 }
 
 fn no_image() -> ImageSource {
@@ -136,8 +138,10 @@ fn cameras_json(views: &[View]) -> Result<Value, RunError> {
     let mut text = Vec::new();
     let written = write_cameras(&cameras, &mut text).and_then(|()| Ok(serde_json::from_slice(&text)?));
     let mut json: Value = written.map_err(|source| RunError::io("write", "the cameras".as_ref(), source))?;
-    for entry in json.as_array_mut().into_iter().flatten().filter_map(Value::as_object_mut) {
+    let entries = json.as_array_mut().into_iter().flatten().filter_map(Value::as_object_mut);
+    for (entry, v) in entries.zip(views) {
         entry.retain(|key, _| !DERIVED.contains(&key.as_str()));
+        entry.insert(CAMERA_ID.into(), json!(v.camera_id));
     }
     Ok(json)
 }
@@ -150,7 +154,8 @@ fn views(json: &Value, file: &str) -> Result<Vec<View>, IoError> {
     let cameras = parse_cameras(json.to_string().as_bytes(), file, &Limits::default())?;
     let view = |(k, c): (u32, NamedCamera)| {
         let time = Time::new(c.time.unwrap_or(0.0)).unwrap_or_default();
-        View::new(&c.name, c.camera, time, no_image(), k)
+        let camera_id = json[k as usize][CAMERA_ID].as_u64().and_then(|id| u32::try_from(id).ok());
+        View::new(&c.name, c.camera, time, no_image(), camera_id.unwrap_or(k))
     };
     Ok((0..).zip(cameras).map(view).collect())
 }
@@ -167,6 +172,11 @@ mod tests {
         assert_eq!((back.train.len(), back.splits.train), (MAX_CAMERAS, 40));
         assert_eq!((&back.train[0].camera, &back.train[0].name), (&data.train[0].camera, &data.train[0].name));
         assert_eq!(back.train[8].camera, data.train[20].camera);
+        assert_eq!(
+            (back.train[8].camera_id, data.train[20].camera_id),
+            (20, 20),
+            "each view has a camera of its own here"
+        );
         assert_eq!(back.train[8].time.normalised, data.train[20].time.normalised);
         assert_eq!(back.held_out.len(), data.test.len().min(MAX_CAMERAS));
         assert_eq!((&back.times, back.clock, back.splits), (&kept.times, kept.clock, kept.splits));

@@ -302,6 +302,10 @@ pub(crate) fn digest(dataset: &Dataset) -> String {
                     ImageSource::Memory(image) => feed(&image.data),
                 }
             }
+            // Which pixels count; nothing is fed where all do.
+            for (on, name) in [(view.cut_out, "cut_out"), (view.mask_loss, "mask_loss")] {
+                feed(if on { name.as_bytes() } else { &[] });
+            }
             let c = &view.camera;
             feed(&[c.width, c.height].map(u32::to_le_bytes).concat());
             let pose = c.rotation.to_cols_array().into_iter().chain(c.translation.to_array());

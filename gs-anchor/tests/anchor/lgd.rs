@@ -171,12 +171,15 @@ fn what_hash_grids_cannot_do_is_refused_by_name() {
         Lgd::new(&config, aabb(), 3).unwrap_err().to_string()
     };
     assert!(error(&|c| c.field.detach_coordinates = false).contains("`lgd.detach_coordinates` = false"));
-    assert!(error(&|c| c.field.move_quats = false).contains("`move_quats` = false"));
-    assert!(error(&|c| c.field.scale_rule = ScaleRule::Log).contains("`scale_rule` = log"));
+    assert!(error(&|c| c.field.move_quats = false).contains("`lgd.move_quats` = false"));
+    assert!(error(&|c| c.field.scale_rule = ScaleRule::Log).contains("`lgd.scale_rule` = log"));
     assert!(error(&|c| c.field.width = 0).contains("`width` = 0"));
     assert!(error(&|c| c.hash.canonical.levels = 0).contains("`levels` = 0"));
+    assert!(error(&|c| c.hash.canonical.levels = usize::MAX).contains("at most 64 levels"));
     let large = HashGridConfig { base: [64.0; 3], end: [64.0; 3], levels: 2, log2_table: 17 };
-    assert!(error(&|c| c.hash.temporal = large).contains("values cannot be built: it must be such that all tables"));
+    assert!(
+        error(&|c| c.hash.temporal = large).contains("values cannot be built: it must be at most 480000 in all tables")
+    );
 }
 
 #[test]

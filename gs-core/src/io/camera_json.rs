@@ -39,6 +39,8 @@ pub(super) struct Record {
     numbers: [Option<f64>; NUMBERS.len()],
     pub(super) name: Option<String>,
     pub(super) camera_model: Option<String>,
+    /// instant-ngp's mark of a fisheye lens.
+    pub(super) is_fisheye: bool,
     pub(super) position: Option<[f64; 3]>,
     pub(super) rotation: Option<[[f64; 3]; 3]>,
     pub(super) world_to_camera: Option<[[f64; 4]; 4]>,
@@ -187,6 +189,7 @@ impl<'de> Visitor<'de> for OneRecord<'_> {
                 "name" => record.name = map.next_value()?,
                 "img_name" | "file_path" if record.name.is_none() => record.name = map.next_value()?,
                 "camera_model" => record.camera_model = map.next_value()?,
+                "is_fisheye" => record.is_fisheye = map.next_value::<serde_json::Value>()?.as_bool().unwrap_or(false),
                 "position" => record.position = Some(map.next_value()?),
                 "rotation" => record.rotation = map.next_value_seed(Rotation)?,
                 "world_to_camera" => record.world_to_camera = Some(map.next_value_seed(Rows)?),

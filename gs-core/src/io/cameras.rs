@@ -240,6 +240,9 @@ fn refuse_distortion(index: usize, record: &Record, src: Source<'_>) -> Result<(
             return Err(src.value(index, field, value, rule));
         }
     }
+    if record.is_fisheye {
+        return Err(src.unsupported("a fisheye lens (`is_fisheye`)".to_owned(), "give PINHOLE cameras"));
+    }
     match record.camera_model.as_deref() {
         None | Some("PINHOLE" | "SIMPLE_PINHOLE" | "OPENCV" | "SIMPLE_RADIAL" | "RADIAL") => Ok(()),
         Some(model) => {

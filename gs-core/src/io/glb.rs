@@ -203,9 +203,7 @@ fn check(splats: &RawSplats, motion: &RigidMotion) -> std::io::Result<()> {
     if splats.is_empty() {
         return Err(invalid("glTF cannot store a scene without splats"));
     }
-    if let Some((row, column)) = splats.non_finite_rows().first() {
-        return Err(invalid(format!("row {row}, `{column}` is not finite")));
-    }
+    splats.check_storable()?;
     let RigidMotion { times, translations, rotations } = motion;
     let keys = times.len();
     let ascending = times.first().is_none_or(|t| *t >= 0.0) && times.is_sorted_by(|a, b| a < b);

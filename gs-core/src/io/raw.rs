@@ -167,6 +167,20 @@ impl RawSplats {
         rows
     }
 
+    /// Refuses values that are not finite, or whose scale is none, for formats that store scales themselves.
+    pub(super) fn check_storable(&self) -> std::io::Result<()> {
+        let wrong = |what: String| Err(std::io::Error::new(std::io::ErrorKind::InvalidInput, what));
+        if let Some((row, column)) = self.non_finite_rows().first() {
+            return wrong(format!("row {row}, `{column}` is not finite"));
+        }
+        match self.log_scales.iter().position(|s| !s.exp().is_finite()) {
+            Some(row) => {
+                wrong(format!("row {row}, `log_scales` is beyond what a scale can be: make it smaller than 88"))
+            }
+            None => Ok(()),
+        }
+    }
+
     /// Refuses kernels that differ from the Gaussian, for formats that cannot store them.
     pub(super) fn refuse_kernel(&self, format: &str) -> std::io::Result<()> {
         if self.kernel.is_neutral() {

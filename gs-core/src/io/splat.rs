@@ -79,10 +79,12 @@ fn byte(v: f32) -> u8 {
 /// Writes splats as `.splat`; SH coefficients above degree 0 are dropped.
 ///
 /// # Errors
-/// Columns of unequal length or another kernel than the Gaussian (as `InvalidInput`), or the writer's own.
+/// Columns of unequal length, values or scales that are not finite, or another kernel than the Gaussian (as `InvalidInput`), or the writer's
+/// own.
 pub fn write(splats: &RawSplats, out: &mut dyn Write) -> std::io::Result<()> {
     splats.check_shape().map_err(|e| std::io::Error::new(std::io::ErrorKind::InvalidInput, e))?;
     splats.refuse_kernel("the .splat format")?;
+    splats.check_storable()?;
     let columns = splats.means.iter().zip(&splats.quats).zip(&splats.log_scales).zip(&splats.logit_opacities);
     let mut row: Vec<u8> = Vec::with_capacity(ROW);
     for ((((mean, quat), scale), opacity), sh) in columns.zip(splats.sh.chunks_exact(splats.sh_width())) {
@@ -108,6 +110,18 @@ mod tests {
 
     fn read_all(bytes: &[u8]) -> Result<RawSplats, IoError> {
         read(bytes, "t.splat", &Limits::default())
+    }
+
+    #[test]
+    fn what_would_not_be_read_again_is_not_written() {
+        for (log_scale, mean) in [(90.0, 0.0), (0.0, f32::NAN)] {
+            let mut splats = cloud(3, 0, 1);
+            (splats.log_scales[1].y, splats.means[1].x) = (log_scale, mean);
+            for write in [write, super::super::glb::write] {
+                let refused = write(&splats, &mut Vec::new()).unwrap_err().to_string();
+                assert!(refused.contains("row 1"), "{refused}");
+            }
+        }
     }
 
     #[test]

@@ -10,7 +10,8 @@
 //! | gradient of the camera | the same, for rotation, translation, focal lengths, principal point | sums of f64 over splats |
 
 use crate::common::table::{BAND, Checked, Tally, check};
-use gs_raster::{SimdLevel, Workspace, blend_counts};
+use gs_core::Color;
+use gs_raster::{RasterOptions, SimdLevel, Workspace, blend_counts, measure, render};
 
 /// The samples of a frame are those that the reference blends, where none hangs on rounding. Returns whether that was so.
 fn counts_match(checked: &Checked, workspace: &mut Workspace) -> bool {
@@ -55,4 +56,17 @@ fn kernels_match_the_reference_at_every_level() {
     sweep(SimdLevel::Auto, true, 0..256);
     sweep(SimdLevel::Avx2, true, 1024..1088);
     sweep(SimdLevel::Portable, true, 2048..2112);
+}
+
+/// Coefficients are finite, their sum is not: neither is any pixel.
+#[test]
+fn colours_beyond_all_numbers_leave_the_frame_finite() {
+    let mut splats = measure::scene(50, 3);
+    if let Color::Sh { coeffs, .. } = &mut splats.color {
+        coeffs.iter_mut().enumerate().for_each(|(k, c)| *c = if k % 5 == 0 { -3e38 } else { 3e38 });
+    }
+    splats.check().unwrap();
+    let camera = measure::camera(48);
+    let frame = render(&splats, &camera, &RasterOptions::default(), &mut Workspace::new());
+    assert!(frame.rgb.data.iter().all(|v| v.is_finite()) && frame.rgb.data.iter().any(|v| *v > 1e30));
 }

@@ -142,7 +142,10 @@ impl<'a> Reader<'a> {
         loop {
             match self.word("{")? {
                 "{" => break,
-                more => name = format!("{name} {more}"),
+                more => {
+                    name.push(' ');
+                    name.push_str(more);
+                }
             }
         }
         let rest = Trs::at(self.offset()?);

@@ -42,6 +42,8 @@ pub(super) struct Meshes<'a> {
     rigid: HashMap<u32, u32>,
     pub(super) mesh: RawMesh,
     pub(super) joints: Vec<Joint>,
+    /// The first joint of skins at each node.
+    of_skins: HashMap<u32, Joint>,
     pub(super) blocks: Vec<MorphBlock>,
     pub(super) rest_morphs: Vec<f32>,
     pub(super) fallbacks: Fallbacks,
@@ -65,6 +67,7 @@ impl<'a> Meshes<'a> {
             rigid: HashMap::new(),
             mesh: RawMesh::default(),
             joints: Vec::new(),
+            of_skins: HashMap::new(),
             blocks: Vec::new(),
             rest_morphs: Vec::new(),
             fallbacks: Fallbacks::default(),
@@ -116,6 +119,7 @@ impl<'a> Meshes<'a> {
             let number = known.get(node).and_then(|n| n.iter().find(same)).copied();
             let number = number.unwrap_or(self.joints.len() as u32);
             if number as usize == self.joints.len() {
+                self.of_skins.entry(*node).or_insert(joint);
                 self.joints.push(joint);
             }
             numbers.push(number);
@@ -129,8 +133,8 @@ impl<'a> Meshes<'a> {
     fn rigid_joint(&mut self, node: u32) -> (u32, DAffine3) {
         let rest = |n: u32| self.rest.get(n as usize).copied().unwrap_or(DAffine3::IDENTITY);
         let parent = |n: &u32| self.nodes.nodes.get(*n as usize).and_then(|n| n.parent);
-        let of_skins = |n: u32| self.joints.iter().find(|j| j.node == n && !self.rigid.contains_key(&n));
-        let above = std::iter::successors(Some(node), parent).find_map(|n| of_skins(n).map(|j| (n, *j)));
+        let of_skins = |n: u32| self.of_skins.get(&n).filter(|_| !self.rigid.contains_key(&n)).copied();
+        let above = std::iter::successors(Some(node), parent).find_map(|n| of_skins(n).map(|j| (n, j)));
         let bind = match above {
             Some((n, joint)) => joint.inverse_bind.inverse() * rest(n).inverse() * rest(node),
             None => rest(node),

@@ -196,7 +196,7 @@ impl ImageCache {
 
     fn read_mask(&self, source: &ImageSource, v: &View) -> Result<Image, DataError> {
         let image = self.pixels(source)?;
-        let want = [v.camera.width, v.camera.height];
+        let want = v.stored.unwrap_or([v.camera.width, v.camera.height]);
         mask::check_shape(&file_of(source, v), [image.width, image.height].map(cast::to_u32), want)?;
         Ok(mask::weights(&image, v, &self.camera(v)))
     }

@@ -1,10 +1,10 @@
-//! Extent of the cameras, bounds of the scene, and a digest of a data set.
+//! Extent of the cameras and bounds of the scene.
 
 use glam::{DMat3, DVec3, Vec3};
 use gs_core::cast;
 use rayon::prelude::*;
 
-use super::{Dataset, ImageSource, View};
+use super::{Dataset, View};
 
 /// Share of the points that may lie outside the bounds on each side: reconstructions have outliers.
 const OUTLIERS: f64 = 0.01;
@@ -53,55 +53,6 @@ impl Dataset {
             }
         }
     }
-
-    /// 128-bit FNV-1a, as 32 hexadecimal digits, of the layout, the views with their cameras, lenses, masks, depth maps and timestamps,
-    /// and the names and sizes of files (for images in memory: their pixels). The path of the folder does not count.
-    pub fn digest(&self) -> String {
-        let mut h = Fnv::default();
-        h.text(self.layout);
-        let splits =
-            [("train", &self.train), ("val", &self.val), ("test", &self.test), ("extrapolate", &self.extrapolate)];
-        // An empty extrapolation split adds nothing: stored digests are of data without one.
-        for (name, views) in splits.into_iter().filter(|(name, views)| *name != "extrapolate" || !views.is_empty()) {
-            h.text(name);
-            h.bytes(&(views.len() as u64).to_le_bytes());
-            views.iter().for_each(|v| self.digest_view(&mut h, v));
-        }
-        for p in self.points.iter().flat_map(|p| &p.positions) {
-            p.to_array().iter().for_each(|x| h.bytes(&x.to_bits().to_le_bytes()));
-        }
-        format!("{:032x}", h.0)
-    }
-
-    fn digest_view(&self, h: &mut Fnv, v: &View) {
-        let c = &v.camera;
-        h.text(&v.name);
-        h.bytes(&[c.width.to_le_bytes(), c.height.to_le_bytes(), v.camera_id.to_le_bytes()].concat());
-        let lens = v.lens.unwrap_or_default().to_array();
-        // Zeros at the end add nothing: stored digests are of lenses with five coefficients.
-        let used = lens.iter().rposition(|k| *k != 0.0).map_or(5, |last| (last + 1).max(5));
-        let lens = lens.into_iter().take(used);
-        let intrinsics = [c.fx, c.fy, c.cx, c.cy, f64::from(v.time.normalised), v.time.seconds];
-        let pose = c.rotation.to_cols_array().into_iter().chain(c.translation.to_array());
-        intrinsics.into_iter().chain(pose).chain(lens).for_each(|x| h.bytes(&x.to_bits().to_le_bytes()));
-        v.stored.iter().flatten().for_each(|side| h.bytes(&side.to_le_bytes()));
-        if v.opaque {
-            h.text("opaque");
-        }
-        self.digest_source(h, &v.image);
-        v.mask.iter().for_each(|mask| self.digest_source(h, mask));
-        v.depth.iter().for_each(|map| self.digest_source(h, &ImageSource::File(map.file.clone())));
-    }
-
-    fn digest_source(&self, h: &mut Fnv, source: &ImageSource) {
-        match source {
-            ImageSource::File(file) => {
-                h.text(&file.strip_prefix(&self.root).unwrap_or(file).to_string_lossy());
-                h.bytes(&std::fs::metadata(file).map_or(0, |m| m.len()).to_le_bytes());
-            }
-            ImageSource::Memory(image) => h.bytes(&image.data),
-        }
-    }
 }
 
 fn around_points(points: &[Vec3]) -> [Vec3; 2] {
@@ -144,26 +95,4 @@ pub fn focus(views: &[View]) -> DVec3 {
     }
     let n = views.len().max(1) as f64;
     if a.determinant().abs() > 1e-6 * n.powi(3) { a.inverse() * b } else { mean / n }
-}
-
-/// FNV-1a with 128 bits.
-struct Fnv(u128);
-
-impl Default for Fnv {
-    fn default() -> Self {
-        Self(0x6c62_272e_07bb_0142_62b8_2175_6295_c58d)
-    }
-}
-
-impl Fnv {
-    fn bytes(&mut self, bytes: &[u8]) {
-        for &b in bytes {
-            self.0 = (self.0 ^ u128::from(b)).wrapping_mul(0x0000_0000_0100_0000_0000_0000_0000_013b);
-        }
-    }
-
-    fn text(&mut self, text: &str) {
-        self.bytes(text.as_bytes());
-        self.bytes(&[0]);
-    }
 }

@@ -47,12 +47,21 @@ impl Dataset {
         Ok((!hull.cells.is_empty()).then(|| hull.sample(n, seed)))
     }
 
-    /// The training views with the first timestamp, as a static data set without held-out views. Points and box stay.
+    /// The training views of the first [moment](crate::moments), as a static data set without held-out views. Points and box stay.
     pub fn at_first_time(&self) -> Self {
-        let first = self.train.iter().map(|v| v.time.normalised).fold(f32::INFINITY, f32::min);
-        let train = self.train.iter().filter(|v| v.time.normalised == first).cloned().collect();
+        let moments = crate::moments::of_views(&self.train);
+        let first = moments.iter().copied().fold(f32::INFINITY, f32::min);
+        let train = self.train.iter().zip(moments).filter(|(_, t)| *t == first).map(|(v, _)| v.clone()).collect();
         let (points, bounds) = (self.points.clone(), Some(self.scene_bounds()));
         Self { train, points, bounds, dynamic: false, ..self.without_views() }
+    }
+
+    /// Notes that points may be of images after `data.time_boundary`. COLMAP's are known by the images that saw them.
+    pub(crate) fn note_later_points(&mut self) {
+        if self.points.is_some() && !self.extrapolate.is_empty() && !matches!(self.layout, "colmap" | "nvidia") {
+            let note = "the points of the data do not say which images saw them: those of images after data.time_boundary may be among them";
+            self.notes.push(note.to_owned());
+        }
     }
 
     /// Whether the data say where the scene is: by points, alpha, a box or masks. Without these, initial points fill a cube

@@ -95,6 +95,7 @@ pub mod json;
 pub mod lens;
 mod llff;
 pub mod mask;
+pub mod moments;
 mod nerfstudio;
 mod nvfi;
 mod options;
@@ -126,7 +127,7 @@ pub use view::{ImageSource, PointCloud, Split, View};
 /// A data set as a reader returns it, or made by hand.
 ///
 /// All fields are public: a program may build or filter one with struct update syntax. Initial points come from [`Self::initial_points`] or [`Self::start`]; the extent and the box of the scene from
-/// [`Self::scene_extent`] and [`Self::scene_bounds`]; a hash of everything that training depends on from [`Self::digest`].
+/// [`Self::scene_extent`] and [`Self::scene_bounds`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Dataset {
     /// The folder that was read; empty for data made in memory.
@@ -199,6 +200,7 @@ impl Dataset {
         let file = scene_file::read(dir)?;
         let options = &file.under(options);
         let mut data = (layout.open)(dir, options)?;
+        data.note_later_points();
         data.max_image_mib = options.max_image_mib;
         if with_start {
             file.apply_start(&mut data)?;

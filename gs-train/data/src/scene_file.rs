@@ -85,23 +85,29 @@ pub fn write_times(dir: &Path, range: Option<TimeRange>, shift: Option<&TimeShif
     let values = [("range", range.map(|r| r.to_string())), ("shift", shift.map(|_| shifts.to_string()))];
     for (key, value) in values {
         if let Some(value) = value {
-            text = with_line(&text, "[time]", key, &format!("{key} = \"{value}\""));
+            text = with_line(&text, "time", key, &format!("{key} = \"{value}\""));
         }
     }
     write_file(&file, true, |out| out.write_all(text.as_bytes())).map_err(|e| DataError::unwritten(&file, e))?;
     Ok(file)
 }
 
+/// The name of the section that begins with a line; none where it begins none, as a row of an array does.
+pub(crate) fn header(line: &str) -> Option<&str> {
+    let line = line.split('#').next().unwrap_or("").trim();
+    let name = line.strip_prefix('[')?.strip_suffix(']')?.trim_matches(['[', ']', ' ']);
+    let bare = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');
+    (name.chars().all(bare) && name.starts_with(|c: char| c.is_ascii_alphabetic())).then_some(name)
+}
+
 /// The text with a line of a section replaced, or added as its first; a missing section comes last.
 fn with_line(text: &str, section: &str, key: &str, line: &str) -> String {
     let mut lines: Vec<&str> = text.lines().collect();
-    let name = |l: &str| l.trim().trim_end_matches(|c: char| c != ']').to_owned();
-    let Some(head) = lines.iter().position(|l| name(l) == section) else {
+    let Some(head) = lines.iter().position(|l| header(l) == Some(section)) else {
         let gap = if text.trim().is_empty() { "" } else { "\n" };
-        return format!("{}{gap}{section}\n{line}\n", lines.iter().map(|l| format!("{l}\n")).collect::<String>());
+        return format!("{}{gap}[{section}]\n{line}\n", lines.iter().map(|l| format!("{l}\n")).collect::<String>());
     };
-    let end =
-        lines[head + 1..].iter().position(|l| l.trim_start().starts_with('[')).map_or(lines.len(), |k| head + 1 + k);
+    let end = lines[head + 1..].iter().position(|l| header(l).is_some()).map_or(lines.len(), |k| head + 1 + k);
     let is_key = |l: &&str| l.split_once('=').is_some_and(|(k, _)| k.trim() == key);
     match lines[head + 1..end].iter().position(is_key) {
         Some(k) => lines[head + 1 + k] = line,

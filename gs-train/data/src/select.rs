@@ -64,8 +64,11 @@ fn cameras(mut drafts: Drafts, options: &DataOptions) -> Result<Drafts, DataErro
         drafts = Drafts { train, val: Vec::new(), test };
     }
     if drafts.train.is_empty() {
-        let name = if options.test_cameras.is_empty() { "data.cameras" } else { "data.test_cameras" };
-        return Err(wrong(name, format!("{:?}", options.test_cameras), "at least one camera must train"));
+        let (name, list) = match &options.test_cameras[..] {
+            [] => ("data.cameras", &options.cameras),
+            _ => ("data.test_cameras", &options.test_cameras),
+        };
+        return Err(wrong(name, format!("{list:?}"), "at least one camera must train"));
     }
     Ok(drafts)
 }

@@ -181,9 +181,10 @@ pub fn write_start(dir: &Path, start: &Start, overwrite: bool) -> Result<[PathBu
     if !overwrite && (points.exists() || had.points.is_some() || had.bounds.is_some()) {
         return Err(DataError::Occupied { path: if points.exists() { points } else { scene } });
     }
+    let text = with_section(&old, start);
+    toml::from_str::<toml::Table>(&text).map_err(|e| DataError::syntax(&scene, String::new(), e.message()))?;
     let write_points = |out: &mut dyn std::io::Write| ply::write_points(&start.cloud, out);
     write_file(&points, overwrite, write_points).map_err(|e| DataError::unwritten(&points, e))?;
-    let text = with_section(&old, start);
     write_file(&scene, true, |out| out.write_all(text.as_bytes())).map_err(|e| DataError::unwritten(&scene, e))?;
     Ok([points, scene])
 }
@@ -201,8 +202,8 @@ fn with_section(old: &str, start: &Start) -> String {
     let mut inside = false;
     let mut kept = String::new();
     for line in old.lines() {
-        if line.trim_start().starts_with('[') {
-            inside = line.trim().trim_end_matches(|c: char| c != ']') == "[start]";
+        if let Some(name) = scene_file::header(line) {
+            inside = name == "start";
         }
         if !inside {
             kept.push_str(line);
@@ -217,4 +218,21 @@ fn with_section(old: &str, start: &Start) -> String {
         kept.push_str(&format!("bounds = {:?}\n", corners.map(|c| c.to_array())));
     }
     kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_section_is_replaced_whole_and_others_stay() {
+        let start =
+            Start { from: StartFrom::Random, cloud: PointCloud::default(), bounds: Some([Vec3::ZERO, Vec3::ONE]) };
+        let old = "[start] # box\nbounds = [\n  [-1, -1, -1],\n  [1, 1, 1],\n]\n\n[time]\nboundary = 0.75\n";
+        let text = with_section(old, &start);
+        let table: toml::Table = toml::from_str(&text).unwrap();
+        assert_eq!(table["time"]["boundary"].as_float(), Some(0.75));
+        assert_eq!(table["start"]["bounds"][1][0].as_float(), Some(1.0));
+        assert_eq!(text.matches("bounds").count(), 1, "{text}");
+    }
 }

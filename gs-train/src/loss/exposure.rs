@@ -159,11 +159,17 @@ impl Exposures {
         self.0.get(image).map_or(ColorMap::IDENTITY, map_of)
     }
 
-    /// Another map was fitted to an image, of so many. Of another number than before, all are fitted anew.
-    pub(crate) fn blend_in(&mut self, image: usize, map: &ColorMap, images: usize) {
+    /// Forgets all maps unless they are of so many images: those of another number are others.
+    pub(crate) fn keep_of(&mut self, images: usize) {
         if self.0.len() != images {
-            self.0 = vec![rows_of(&ColorMap::IDENTITY); images];
+            self.0.clear();
         }
+    }
+
+    /// Another map was fitted to an image, of so many.
+    pub(crate) fn blend_in(&mut self, image: usize, map: &ColorMap, images: usize) {
+        self.keep_of(images);
+        self.0.resize(images, rows_of(&ColorMap::IDENTITY));
         self.0[image] = rows_of(&self.map(image).blend(map, NEW));
         let mean = |k: usize| self.0.iter().map(|map| f64::from(map[k])).sum::<f64>() / images as f64;
         let mean = ColorMap { matrix: std::array::from_fn(|row| std::array::from_fn(|c| mean(3 * row + c))) };

@@ -50,7 +50,7 @@ const KEPT: usize = 4;
 #[derive(Clone, Debug)]
 pub(crate) struct ViewOrder {
     seed: u64,
-    /// Normalised time of each view.
+    /// The moment of each view, normalised time.
     times: Vec<f32>,
     /// The same, ascending.
     sorted: Vec<f32>,
@@ -63,7 +63,7 @@ pub(crate) struct ViewOrder {
 }
 
 impl ViewOrder {
-    /// Views of these normalised times.
+    /// Views of these moments, normalised time.
     pub(crate) fn new(seed: u64, times: Vec<f32>) -> Self {
         let mut sorted = times.clone();
         sorted.sort_by(f32::total_cmp);

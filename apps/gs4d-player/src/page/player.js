@@ -30,7 +30,7 @@ function pan(dx, dy) {
 function dolly(factor) { state.eye = add(state.target, add(state.eye, state.target, -1), factor); show(); }
 function reset() { Object.assign(state, structuredClone(page.start)); show(); }
 
-// Rendering, at most once per frame of the page; coarser where that takes long.
+// Rendering, at most once per frame of the page; coarser where that takes long, and once more in full when all rests.
 function show() { if (!due) { due = true; requestAnimationFrame(paint); } }
 function paint(now) {
   due = false;
@@ -45,7 +45,7 @@ function paint(now) {
   const factor = Math.min(devicePixelRatio || 1, 2) / shrink, size = (v) => Math.max(16, Math.round(v * factor));
   renderer.draw(camera(size(stage.clientWidth), size(stage.clientHeight)), state.t);
   rate.push(now);
-  requestAnimationFrame((next) => { const spent = next - now; shrink = Math.min(4, Math.max(1, shrink * (spent > PACE ? 1.15 : spent < 0.7 * PACE ? 0.95 : 1))); if (!state.playing && shrink > 1 && !pointers.size) show(); });
+  requestAnimationFrame((next) => { const spent = next - now; if (state.playing || pointers.size) shrink = Math.min(4, Math.max(1, shrink * (spent > PACE ? 1.15 : spent < 0.7 * PACE ? 0.95 : 1))); else if (shrink > 1) { shrink = 1; show(); } });
   if (state.playing) show();
 }
 const rate = { times: [], push(t) { this.times.push(t); if (this.times.length > 60) this.times.shift(); }, get() { const t = this.times; return t.length > 1 ? (1000 * (t.length - 1)) / (t[t.length - 1] - t[0]) : 0; } };
@@ -69,6 +69,7 @@ const stepTime = (by) => setTime(state.t + (by * (clip.times[clip.times.length -
 // Layers: the frames are made again in their colours, the nearest in time first, a few at a time.
 async function layer(number) {
   const mine = ++work, chosen = clip.layers[number] || null, n = clip.times.length;
+  $("ready").hidden = false;
   $("meaning").textContent = chosen ? chosen.meaning : "";
   const near = clip.times.map((t, k) => k).sort((a, b) => Math.abs(clip.times[a] - state.t) - Math.abs(clip.times[b] - state.t));
   const sh = chosen ? null : clip.sh;

@@ -52,7 +52,11 @@ class Run:
 
     @cached_property
     def cameras(self):
-        """Training views: dictionaries of ``name``, ``viewmat`` [4, 4], ``K`` [3, 3], ``width``, ``height`` and ``t``."""
+        """Training views: dictionaries of ``name``, ``viewmat`` [4, 4], ``K`` [3, 3], ``width``, ``height`` and ``t``.
+
+        Cameras and times are as they were learnt, where the run corrected them. Without the data there are those that the run kept: at most 16,
+        evenly spaced.
+        """
         return [{"name": name, "viewmat": np.reshape(viewmat, (4, 4)), "K": np.reshape(k, (3, 3)), "width": width,
                  "height": height, "t": t} for name, (viewmat, k, width, height), t in self._native.cameras()]
 

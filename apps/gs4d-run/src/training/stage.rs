@@ -40,7 +40,8 @@ impl Stage {
             folder => folder?,
         };
         let found = Resolved::read(&resolved.registry, &folder.read(CONFIG)?, CONFIG)?;
-        if !found.trains_as(resolved) || folder.rounds().is_some() {
+        let same = found.trains_as(resolved) || found.trains_as(&on_start_points(resolved));
+        if !same || folder.rounds().is_some() {
             return Err(RunError::OtherSettings { path: root.to_owned() });
         }
         match scored(&folder, resolved) {
@@ -54,6 +55,12 @@ impl Stage {
             None => Ok(Stage::Begun(checkpoint::steps_in(&folder.checkpoints())?.first().copied().unwrap_or(0))),
         }
     }
+}
+
+/// The settings as a run with them begins on their data ([`Resolved::with_start_points`]); as they are where the data are gone.
+fn on_start_points(resolved: &Resolved) -> Resolved {
+    let on = |data| resolved.clone().with_start_points(&data).ok();
+    resolved.open_data().ok().and_then(on).unwrap_or_else(|| resolved.clone())
 }
 
 /// The scores of a run at the end of its training; they stand without its checkpoints. `gs4d eval` may have scored an earlier step;

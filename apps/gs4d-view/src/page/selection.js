@@ -59,7 +59,13 @@ function inputs(i) {
   $("inputs").textContent = `Colours come from the images of frame ${i.frame} (${i.images.join(", ")}); ${changes.join("; ") || "in the pose it was filmed in"}.`;
 }
 $("boxing").addEventListener("click", () => boxing(!isBoxing()));
-$("hide").addEventListener("click", () => { if (chosen) state.hidden.push(chosen); unchoose(); changed(); place(); });
+// As many as the server takes.
+const MOST_HIDDEN = 16;
+$("hide").addEventListener("click", () => {
+  if (chosen && state.hidden.length >= MOST_HIDDEN) return notice(`${MOST_HIDDEN} boxes are hidden, and no more can be: show them again first`);
+  if (chosen) state.hidden.push(chosen);
+  unchoose(); changed(); place();
+});
 $("unhide").addEventListener("click", () => { state.hidden = []; changed(); place(); });
 $("unchoose").addEventListener("click", unchoose);
 for (const part of ["chosen", "rest"]) $("save-" + part).addEventListener("click", () => { file = { save: part, chosen }; pump(); });

@@ -6,7 +6,7 @@ use crate::device::DeviceFlag;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
 use crate::interrupt;
-use crate::output::create_folder;
+use crate::output::{check_free, create_folder};
 use gs_core::io::images::save_png;
 use gs_core::io::{RawSplats, save_splats};
 use gs_synth::{self as synth, SynthOptions};
@@ -21,8 +21,9 @@ use serde_json::json;
 use std::path::PathBuf;
 use std::time::Instant;
 
-/// Rendered frames over time 0..1.
+/// Rendered frames over time 0..1, and their folder.
 const FRAMES: usize = 24;
+const FOLDER: &str = "frames";
 /// Settings over the preset: as many splats as two cores train in a minute.
 const SETS: [&str; 3] = ["init.points=6000", "schedule.density.max_splats=12000", "run.eval_every=500"];
 /// Further settings of the default method: a deformation field with the resolution that a waving cloth needs.
@@ -91,6 +92,8 @@ impl Demo {
                 .why("nothing is overwritten unless asked")
                 .remedy("choose another folder with -o, or pass -f"));
         }
+        let written = (0..FRAMES).map(|k| self.frame(k)).chain([self.splats()]);
+        check_free(self.force, "file", "folder", written)?;
         let options = SynthOptions { size: self.size, seed: self.seed, ..SynthOptions::default() };
         global.say(format!("making the scene `{}` with {} training views", self.scene, options.train_views));
         synth::write(&data_folder, &self.scene, &options, self.force)?;
@@ -107,6 +110,16 @@ impl Demo {
         Ok(Training::begin(&root, self.force, resolve(gs_methods::registry(), &request)?)?.on(&device)?)
     }
 
+    /// Where a frame is written.
+    fn frame(&self, k: usize) -> PathBuf {
+        self.out.join(FOLDER).join(format!("frame-{k:02}.png"))
+    }
+
+    /// Where the splats at time 0.5 are written.
+    fn splats(&self) -> PathBuf {
+        self.out.join("scene-t0.50.ply")
+    }
+
     /// Writes frames over time and the splats at time 0.5; returns the paths of the results.
     fn write(&self, training: &Training) -> Result<Vec<PathBuf>, Failure> {
         let method = training.trainer().model();
@@ -115,17 +128,16 @@ impl Demo {
         let Some(view) = view else { return Ok(Vec::new()) };
         let background = method.background();
         let mut renderer = Renderer::on(training.trainer().device(), method.raster_options(background))?;
-        let frames = self.out.join("frames");
+        let (frames, ply) = (self.out.join(FOLDER), self.splats());
         create_folder(&frames)?;
         for k in 0..FRAMES {
             let time = k as f32 / (FRAMES - 1) as f32;
-            save_png(&frames.join(format!("frame-{k:02}.png")), &renderer.at(method, time, &view.camera)?, true)?;
+            save_png(&self.frame(k), &renderer.at(method, time, &view.camera)?, self.force)?;
         }
-        let ply = self.out.join("scene-t0.50.ply");
         let splats = method.splats(&Timestamp::normalised(0.5), &view.camera)?;
         let raw = RawSplats::from_splats(&splats);
         let raw = raw.map_err(|e| Failure::new(Class::Internal, "splats", e.to_string()))?;
-        save_splats(&ply, &raw, true)?;
+        save_splats(&ply, &raw, self.force)?;
         Ok(vec![training.folder().root().join("report.html"), frames, ply])
     }
 }

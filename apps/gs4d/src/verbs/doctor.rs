@@ -40,9 +40,6 @@ pub struct Doctor {
     /// Estimate neither memory nor time.
     #[arg(long)]
     no_cost: bool,
-    /// Memory a run may take, MiB [default: what is free].
-    #[arg(long, value_name = "MIB")]
-    max_mem: Option<f64>,
     /// The page with images [default: doctor.html, which is left out where it cannot be written].
     #[arg(short, long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -68,7 +65,6 @@ impl Doctor {
             preset: "fast".to_owned(),
             all: false,
             no_cost: true,
-            max_mem: None,
             out: Some(out),
             fix: false,
             force: false,
@@ -89,6 +85,7 @@ impl Doctor {
     /// What was found, and the failure if there are problems, or warnings with `--strict`.
     pub fn look(self, global: &Global) -> Result<(Answer, Option<Failure>), Failure> {
         self.check_page()?;
+        self.check_fix()?;
         let mut checkup = self.examine(global)?;
         let mut written = Vec::new();
         while self.fix && written.len() < MAX_FIXES {
@@ -130,7 +127,7 @@ impl Doctor {
             method: self.method.clone(),
             preset: self.preset.clone(),
             sets: self.sets.clone(),
-            limit_mib: self.max_mem,
+            limit_mib: global.max_mem.map(|mib| mib as f64),
         };
         let exam = CheckOptions { data: self.data_options()?, all: self.all, cost: (!self.no_cost).then_some(cost) };
         Ok(examine_and_tell(&self.data, &exam, &mut |finding| {
@@ -147,6 +144,19 @@ impl Doctor {
             return Err(IoError::Exists { file: path.display().to_string().into() }.into());
         }
         self.out.as_deref().map_or(Ok(()), |out| create_folder(folder_of(out)))
+    }
+
+    /// Refuses to write what a flag overrides: the next check would find it again, and add to it.
+    fn check_fix(&self) -> Result<(), Failure> {
+        let times = ["data.time_shift", "data.time_range"];
+        let set = |key: &&str| self.sets.iter().any(|s| s.split('=').next().is_some_and(|name| name.trim() == *key));
+        match times.iter().find(|key| self.fix && set(key)) {
+            Some(key) => {
+                Err(Failure::usage(format!("--fix writes times into scene.toml, and --set {key} overrides them"))
+                    .remedy("leave the --set out, or write it into [time] of scene.toml first"))
+            }
+            None => Ok(()),
+        }
     }
 
     fn data_options(&self) -> Result<DataOptions, Failure> {

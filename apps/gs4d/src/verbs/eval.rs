@@ -42,7 +42,7 @@ pub struct Eval {
     #[arg(long, allow_hyphen_values = true, value_parser = parse::color)]
     background: Option<[f32; 3]>,
     /// Folder of images to score, taken in the order of the numbers in their names.
-    #[arg(long, value_name = "DIR", requires = "gt")]
+    #[arg(long, value_name = "DIR", requires = "gt", conflicts_with_all = ["split", "device", "data"])]
     pred: Option<PathBuf>,
     /// Folder of their truths; files belong together by name, or by order where names differ but hold numbers.
     #[arg(long, value_name = "DIR", requires = "pred")]

@@ -143,7 +143,9 @@ impl Glmd {
             let view = k.parse::<usize>().ok().and_then(|k| views.get(k));
             let view =
                 view.ok_or_else(|| wrong(format!("there is no view `{}`: {} views", self.camera, views.len())))?;
-            return Ok(run.images().camera(view));
+            let placed = run.placed();
+            let view = if split == Split::Train { placed.view(view) } else { placed.held_out(view) };
+            return Ok(run.images().camera(&view));
         }
         let (file, k) = self.camera.rsplit_once('#').unwrap_or((&self.camera, "0"));
         let mut cameras = load_cameras(Path::new(file), &Limits::default())?;

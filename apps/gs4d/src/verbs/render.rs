@@ -143,11 +143,11 @@ impl Scene {
         }
     }
 
-    /// The training views of the run, or those it has kept; `what` names the option that needs them.
+    /// The training views of the run, or those it has kept, as they were learnt; `what` names the option that needs them.
     fn training_views(&self, what: &str) -> Result<Vec<View>, Failure> {
         match self {
             Scene::File(_) => Err(Failure::usage(format!("{what} needs a run"))),
-            Scene::Run(run) => Ok(run.training_views()?),
+            Scene::Run(run) => Ok(run.training_views()?.iter().map(|view| run.placed().view(view)).collect()),
         }
     }
 
@@ -155,7 +155,7 @@ impl Scene {
     fn orbit(&self) -> Result<Option<Orbit>, Failure> {
         match self {
             Scene::File(splats) => Ok(Orbit::of_splats(&splats.means)),
-            Scene::Run(run) => Ok(Orbit::of_views(&run.training_views()?)),
+            Scene::Run(_) => Ok(Orbit::of_views(&self.training_views("--camera orbit")?)),
         }
     }
 

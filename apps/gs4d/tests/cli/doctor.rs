@@ -184,7 +184,7 @@ fn points_are_made_once_and_then_begun_with() {
     gs4d(&["init", text(&folder)]).fails(6, &["start.ply"]);
     good(&["init", text(&folder), "--from", "random", "--points", "70", "-f"]);
     let html = dir.path().join("doctor.html");
-    let call = good(&["doctor", text(&folder), "--no-cost", "-o", text(&html)]);
+    let call = good(&["doctor", text(&folder), "--no-cost", "--max-mem", "4000", "-o", text(&html)]);
     assert!(call.out.contains("70 points"), "{}", call.out);
     // Points that were made before are no points of the data.
     assert_eq!(good(&["init", text(&folder), "--points", "90", "-f", "--json"]).json()["from"], "hull");
@@ -195,10 +195,16 @@ fn points_are_made_once_and_then_begun_with() {
     let points = |text: &str| text.lines().find_map(|l| l.strip_prefix("points = ")).unwrap().to_owned();
     let resolved = || std::fs::read_to_string(run.join("config.resolved.toml")).unwrap();
     assert!(points(&resolved()).starts_with("90 ") && resolved().contains("scene.toml"), "{}", resolved());
+    // The same call goes on with it.
+    let on = |more: &[&str]| gs4d(&[&train[..7], &["--steps", "2", "--continue", "-o", text(&run)], more].concat());
+    assert_eq!(on(&[]).code, 0);
+    on(&["--set", "init.points=80"]).fails(6, &["other settings"]);
     let fewer = good(&[&train[..], &["--set", "schedule.density.max_splats=60"]].concat()).err;
     assert!(fewer.contains("begins with 60 of the 90 points"), "{fewer}");
     good(&[&train[..], &["--set", "init.points=40"]].concat());
     assert!(points(&resolved()).starts_with("40 "), "{}", resolved());
+    let shift = ["--fix", "--set", "data.time_shift=4:-2"];
+    gs4d(&[&["doctor", text(&folder)][..], &shift].concat()).fails(2, &["--fix", "data.time_shift"]);
     gs4d(&["init", text(&folder), "--from", "depth", "-f"]).fails(2, &["no depth", "leave --from out"]);
     gs4d(&["init", text(&folder), "--set", "run.seed=1", "-f"]).fails(2, &["run.seed"]);
     gs4d(&["init", text(&folder), "--bound", "0", "-f"]).fails(2, &["above 0"]);

@@ -388,6 +388,7 @@ fn fags_is_trained_scored_and_ablated() {
     let out = dir.path().join("run");
     let base = ["train", text(data()), "-m", "fags", "--preset", "tiny", "--steps", "40", "-o", text(&out), "--quiet"];
     gs4d(&[&base[..], &["--set", "ablate=gate,fog"]].concat()).fails(2, &["`fog`", "fdgk, hfe, gate"]);
+    gs4d(&[&base[..], &["--set", "ablate=fdgk,lambda"]].concat()).fails(2, &["leave `lambda` out already"]);
     good(&base);
     let json = good(&["eval", text(&out), "--json"]).json();
     assert!(json["method"] == "fags" && json["mean"]["psnr"].as_f64().unwrap() > 10.0, "{json}");
@@ -413,4 +414,8 @@ fn the_demo_leaves_report_pictures_and_splats() {
     assert!(good(&["inspect", text(&out.join("scene-t0.50.ply"))]).out.contains("splats"));
     good(&["eval", text(&out.join("run"))]);
     gs4d(&call).fails(6, &["older demo", "-f"]);
+    for part in ["run", "data"] {
+        fs::remove_dir_all(out.join(part)).unwrap();
+    }
+    gs4d(&call).fails(6, &["frame-00.png", "-f"]);
 }

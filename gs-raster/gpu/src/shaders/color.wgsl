@@ -24,7 +24,8 @@ fn main(
         let degree = view.counts.z;
         let count = (degree + 1u) * (degree + 1u);
         let mean = vec3(means[3u * i], means[3u * i + 1u], means[3u * i + 2u]);
-        rgb = max(color_of(basis(direction(mean).xyz, degree), 3u * count * i, count), vec3(0.0, 0.0, 0.0));
+        // Finite, with room for sums over splats.
+        rgb = clamp(color_of(basis(direction(mean).xyz, degree), 3u * count * i, count), vec3(0.0, 0.0, 0.0), vec3(1e37, 1e37, 1e37));
     }
     projected[at] = vec4(rgb, support);
 }

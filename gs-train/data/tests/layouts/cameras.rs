@@ -46,12 +46,6 @@ fn fisheyes_are_read_and_removed() {
     assert_eq!(lenses(&d.train), [Lens { k4: -0.002, ..fisheye }, fisheye]);
     let image = ImageCache::new(0, 1.0).get(&d.train[0]).unwrap();
     assert_eq!((image.width, image.height), (40, 30));
-    let other = {
-        let mut d = d.clone();
-        d.train[0].lens = Some(Lens { k4: -0.003, ..fisheye });
-        d
-    };
-    assert_ne!(d.digest(), other.digest(), "the lens is part of what the data are");
     // instant-ngp's scripts write a flag.
     j.as_object_mut().unwrap().remove("camera_model");
     j["is_fisheye"] = json!(true);

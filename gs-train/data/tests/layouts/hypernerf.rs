@@ -211,7 +211,6 @@ fn data_scale_shrinks_any_layout() {
     assert_eq!((b.camera.width, b.camera.height, b.stored), (20, 30, Some(SIZE)));
     assert!((a.camera.fx - 2.0 * b.camera.fx).abs() < 1e-12 && a.lens == b.lens);
     assert_eq!(ImageCache::new(0, 1.0).get(b).unwrap().height, 30);
-    assert_ne!(full.digest(), half.digest());
     for wrong in [0.0, 1.5, f64::NAN, -1.0] {
         let e = c.open(&DataOptions { scale: wrong, ..Default::default() }).unwrap_err();
         assert_eq!((e.code(), e.exit_code()), ("data.option", 2));

@@ -13,6 +13,7 @@ use crate::anchored::{AnchorConfig, Anchored, Motion, Parts, Query, SparsityConf
 use crate::scaffold::{self, DOMAINS};
 use gs_anchor::{AnchorDensifyRules, AnchorShape, DecoderConfig, Gad, GadConfig, IntervalConfig, Intervals};
 use gs_anchor::{Lgd, LgdConfig, LgdEncoder};
+use gs_core::cast;
 use gs_deform::Aabb;
 use gs_train::ablate::{Ablations, Part};
 use gs_train::layers::BASE;
@@ -46,7 +47,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
 };
 
 const PARTS: &[Part<Config>] =
-    &[("gad", |c| c.global = false), ("lgd", |c| c.local = false), ("tia", |c| c.intervals.on = false)];
+    &[("gad", |c| c.global = false), ("lgd", |c| c.local = false), ("tia", |c| c.intervals.on &= !c.global)];
 
 /// Settings of `modec`, the sections of its TOML file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -105,13 +106,14 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let shape = AnchorShape { offsets: config.anchors.offsets, features: config.anchors.features, dynamics };
     let gad = if config.global { config.gad.param_count(shape) } else { 0 };
     config.lgd = config.lgd.for_moments(scene.moments());
+    let frames = cast::to_u32(cast::to_usize(scene.moments().round()).max(1));
     let lgd = if config.local { config.lgd.param_count() } else { 0 };
     let decoder = config.anchors.decoder(config.decoder, scene);
     scene.admit(ENTRY.name, &[decoder.param_count(shape), gad, lgd])?;
     let field = |e: gs_deform::DeformError| MethodError::Config { method: ENTRY.name, why: e.to_string() };
     let gad = config.global.then(|| Gad::new(&config.gad, shape, aabb, scene.seed)).transpose().map_err(field)?;
     let lgd = config.local.then(|| Lgd::new(&config.lgd, aabb, scene.seed));
-    let intervals = config.global.then(|| Intervals::new(&config.intervals, scene.timestamps));
+    let intervals = config.global.then(|| Intervals::new(&config.intervals, frames));
     let motion = Motion {
         gad,
         lgd: lgd.transpose().map_err(field)?,

@@ -76,8 +76,8 @@ pub(super) const GRID4D: &[Part<Config>] = &[
     ("hfe", |c| c.field.fourier.on = false),
     ("gate", |c| c.field.gate.on = false),
     ("fre", |c| c.schedule.lambda_fre = 0.0),
-    ("lambda", |c| c.cloud.kernel.shared_lambda = true),
-    ("beta", |c| c.cloud.kernel.learn_beta = false),
+    ("lambda", |c| c.cloud.kernel.shared_lambda |= c.cloud.kernel.kind == KernelKind::Frequency),
+    ("beta", |c| c.cloud.kernel.learn_beta &= c.cloud.kernel.kind != KernelKind::Frequency),
 ];
 
 /// Where `field.bound` is 0, half the side of the cube is the largest coordinate of a first point times this.

@@ -107,6 +107,8 @@ impl Default for AvatarOptions {
 const FPS: f64 = 24.0;
 /// Plausible lengths of a character in metres.
 const METRES: std::ops::RangeInclusive<f32> = 0.1..=10.0;
+/// Longest side of a picture before it is reduced to `size`, pixels: every thread draws one.
+const MAX_SIDE: u32 = 8192;
 /// Most memory for all images together.
 const MAX_IMAGE_BYTES: u64 = 8 << 30;
 
@@ -303,6 +305,9 @@ fn check(o: &AvatarOptions) -> Result<(), DataError> {
         if !range.contains(&value) {
             return Err(wrong(name, value, format!("{} to {}", range.start(), range.end())));
         }
+    }
+    if o.size * o.supersample > MAX_SIDE {
+        return Err(wrong("supersample", o.supersample, format!("size times supersample at most {MAX_SIDE}")));
     }
     if !o.per_ring.is_multiple_of(4) {
         return Err(wrong("per_ring", o.per_ring, "a multiple of 4: there is a conditioning camera every 90 degrees"));

@@ -117,7 +117,8 @@ impl Anchored {
             }
         }
         let farthest = farthest(tape.splats.geometry(), tape.moved.view());
-        let held = self.config.filter != Filter::Clean || f64::from(farthest) <= margin;
+        // What is not finite is met after the pass, where gradients are checked; no margin holds it.
+        let held = self.config.filter != Filter::Clean || f64::from(farthest) <= margin || !farthest.is_finite();
         if farthest.is_finite() {
             self.reach[0] = self.reach[0].max(farthest);
         }
