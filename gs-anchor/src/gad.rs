@@ -119,6 +119,11 @@ impl GadConfig {
         self.heads.iter().map(|h| (h.name(), h.width(shape))).collect()
     }
 
+    /// Outputs of each head for such anchors.
+    pub fn head_widths(&self, shape: AnchorShape) -> Vec<usize> {
+        self.heads.iter().map(|h| h.width(shape)).collect()
+    }
+
     /// Number of parameters of the network for such anchors; the largest number where that is beyond it.
     pub fn param_count(&self, shape: AnchorShape) -> u64 {
         self.net.param_count(&self.widths(shape))

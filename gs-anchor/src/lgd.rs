@@ -235,6 +235,14 @@ impl Lgd {
         }
     }
 
+    /// Outputs of each head of that network; none where it has hash grids.
+    pub fn head_widths(&self) -> Vec<usize> {
+        match self {
+            Self::Planes(field) => field.head_widths(),
+            Self::Hash(_) => Vec::new(),
+        }
+    }
+
     /// Number of values of the hash grids, and of their network, where it has them.
     pub fn hash_values(&self) -> Option<[usize; 2]> {
         let Self::Hash(field) = self else { return None };

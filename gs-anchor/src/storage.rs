@@ -39,10 +39,10 @@ pub struct StorageSizes {
     pub shape: AnchorShape,
     /// Settings of the networks that decode anchors.
     pub decoder: DecoderConfig,
-    /// Network of the global deformation of anchors; absent in a static scene.
-    pub global: Option<PlaneNetConfig>,
-    /// Network of the local deformation of Gaussians; absent in a static scene.
-    pub local: Option<PlaneNetConfig>,
+    /// Network of the global deformation of anchors, and the outputs of each head that it has; absent in a static scene.
+    pub global: Option<(PlaneNetConfig, Vec<usize>)>,
+    /// The same of the local deformation of Gaussians.
+    pub local: Option<(PlaneNetConfig, Vec<usize>)>,
     /// Number of values of hash grids and of their network, where the local deformation has these in place of planes.
     pub local_hash: Option<[usize; 2]>,
     /// Number of cameras: the published code stores one appearance row for each.
@@ -108,12 +108,12 @@ impl StorageTable {
             ("global deformation", &sizes.global, vec![3, s.features, 3 * s.offsets, 6], vec![]),
             ("local deformation", &sizes.local, vec![3, 3, 4], vec![1, UNUSED_SH]),
         ] {
-            let Some(net) = net else { continue };
+            let Some((net, heads)) = net else { continue };
             let [paper, needed] = plane_values(&net.hexplane);
             rows.push(StorageRow::new(&format!("{name}, planes"), paper, needed));
-            let needed = network_values(net, &outputs);
-            let unused_values = TIME_NET + unused.iter().map(|&out| head_values(net.width, out)).sum::<usize>();
-            rows.push(StorageRow::new(&format!("{name}, networks"), needed + unused_values, needed));
+            let unused = TIME_NET + unused.iter().map(|&out| head_values(net.width, out)).sum::<usize>();
+            let [paper, needed] = [&outputs, heads].map(|outputs| network_values(net, outputs));
+            rows.push(StorageRow::new(&format!("{name}, networks"), paper + unused, needed));
         }
         for (part, values) in ["hash grids", "networks"].iter().zip(sizes.local_hash.iter().flatten()) {
             rows.push(StorageRow::new(&format!("local deformation, {part}"), *values, *values));
@@ -207,8 +207,8 @@ mod tests {
             anchors: 27_000,
             shape: AnchorShape { offsets, features: 32, dynamics: 2 },
             decoder: DecoderConfig::default(),
-            global: Some(net([32, 32, 32, 10])),
-            local: Some(net([64, 64, 64, 100])),
+            global: Some((net([32, 32, 32, 10]), vec![3, 32, 3 * offsets, 6])),
+            local: Some((net([64, 64, 64, 100]), vec![3, 3, 4])),
             local_hash: None,
             cameras: 300,
             segments: 8,
@@ -244,7 +244,7 @@ mod tests {
             ([32, 32, 32, 50], 476_160),
             ([128, 128, 128, 150], 6_696_960),
         ] {
-            let sizes = StorageSizes { local: Some(net(resolution)), ..published(10) };
+            let sizes = StorageSizes { local: Some((net(resolution), vec![3, 3, 4])), ..published(10) };
             assert_eq!(values(&sizes, "local deformation, planes")[0], paper, "{resolution:?}");
         }
         let [paper, needed] = values(&published(10), "local deformation, planes");

@@ -152,6 +152,11 @@ impl HexPlaneField {
         })
     }
 
+    /// Outputs of each head that there is, of means, scales and quaternions in this order.
+    pub fn head_widths(&self) -> Vec<usize> {
+        self.heads.iter().zip([3, 3, 4]).filter_map(|(head, width)| head.map(|_| width)).collect()
+    }
+
     /// The settings of the [`PlaneNet`] inside.
     pub fn net_config(&self) -> PlaneNetConfig {
         self.config.net()

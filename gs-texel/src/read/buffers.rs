@@ -49,8 +49,12 @@ impl Folder<'_> {
     }
 }
 
-/// `%41` is `A`; `None` if the result is not UTF-8 or an escape is incomplete.
-fn percent_decoded(uri: &str) -> Option<String> {
+/// The file name of a URI: `%41` is `A`; `None` if the result is not UTF-8 or an escape is incomplete.
+///
+/// ```
+/// assert_eq!(gs_texel::read::percent_decoded("skin%20tex.png").as_deref(), Some("skin tex.png"));
+/// ```
+pub fn percent_decoded(uri: &str) -> Option<String> {
     let mut out = Vec::with_capacity(uri.len());
     let mut bytes = uri.bytes();
     while let Some(b) = bytes.next() {

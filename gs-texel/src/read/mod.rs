@@ -28,6 +28,7 @@ mod nodes;
 mod obj_in;
 mod weld;
 
+pub use buffers::percent_decoded;
 pub use bvh_in::{Motion, load_motion, parse_motion};
 pub use error::CharacterError;
 

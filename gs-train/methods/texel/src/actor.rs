@@ -52,6 +52,14 @@ pub enum FrameError {
     /// Measured points cannot be compared with the surface.
     #[error(transparent)]
     Chamfer(#[from] ChamferError),
+    /// A frame from which mean colours are taken.
+    #[error("frame {frame}, of which mean colours are taken: {source}")]
+    Mean {
+        /// Number of the frame.
+        frame: u32,
+        /// What is wrong with it.
+        source: Box<FrameError>,
+    },
     /// There are no measured points.
     #[error(
         "it has no points of the surface to learn geometry from; make the data with points, or set input = \"single\""
@@ -384,12 +392,16 @@ impl Actor {
         let mut means = tables.map(|t| Mean::new(t.map_or(0, TexelTable::len)));
         if tables.iter().any(Option::is_some) {
             for frame in self.mean_frames() {
-                let posed = self.pose(&frame.pose);
-                let surface = match offsets(frame)? {
-                    Some(offsets) => self.surface(&posed, &offsets),
-                    None => skin(&posed.canonical, &posed.transforms),
+                let look = || {
+                    let posed = self.pose(&frame.pose);
+                    let surface = match offsets(frame)? {
+                        Some(offsets) => self.surface(&posed, &offsets),
+                        None => skin(&posed.canonical, &posed.transforms),
+                    };
+                    self.look(&surface, &self.images(frame)?)
                 };
-                let seen = self.look(&surface, &self.images(frame)?)?;
+                let of = |source: FrameError| FrameError::Mean { frame: frame.number, source: Box::new(source) };
+                let seen = look().map_err(of)?;
                 for (mean, table) in means.iter_mut().zip(tables) {
                     table.iter().for_each(|t| mean.add(&self.resized(&seen, t)));
                 }

@@ -516,7 +516,7 @@ impl Method for Dut {
     }
 
     fn end_step(&mut self) -> Result<StepEvents, MethodError> {
-        self.refresh_mean_textures().map_err(|e| Self::at_frame(self.actor.frame_at(Default::default()), &e))?;
+        self.refresh_mean_textures().map_err(|e| MethodError::Render(format!("the filmed person: {e}")))?;
         Ok(StepEvents::default())
     }
 

@@ -6,6 +6,7 @@ use std::path::Path;
 use gs_core::Camera;
 use gs_core::io::write_file;
 use gs_texel::maps_exr::{Kind, Layer, save_layers};
+use gs_texel::read::percent_decoded;
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
@@ -74,8 +75,9 @@ fn copy_template(dir: &Path, template: &str) -> Result<String, DataError> {
         for (i, entry) in gltf[list].as_array().into_iter().flatten().enumerate() {
             let Some(uri) = entry["uri"].as_str().filter(|uri| !uri.starts_with("data:")) else { continue };
             let place = Place::new(from, format!("{list}[{i}].uri"));
-            let beside = root.resolve(uri, &place)?;
-            let to = dir.join(beside.strip_prefix(folder).unwrap_or(Path::new(uri)));
+            let name = percent_decoded(uri).unwrap_or_else(|| uri.to_owned());
+            let beside = root.resolve(&name, &place)?;
+            let to = dir.join(beside.strip_prefix(folder).unwrap_or(Path::new(&name)));
             create_dir(to.parent().unwrap_or(dir).to_path_buf())?;
             save(&to, &std::fs::read(&beside).map_err(|e| DataError::read(&beside, e))?)?;
         }

@@ -384,12 +384,13 @@ impl Inspect for Anchored {
     }
 
     fn paper_storage(&self) -> Option<PaperStorage> {
+        let shape = self.anchors.shape();
         let table = StorageTable::of(&StorageSizes {
             anchors: self.anchors.len(),
-            shape: self.anchors.shape(),
+            shape,
             decoder: self.decoder.config().clone(),
-            global: self.motion.gad.as_ref().map(|gad| gad.config().net.clone()),
-            local: self.motion.lgd.as_ref().and_then(Lgd::net_config),
+            global: self.motion.gad.as_ref().map(|gad| (gad.config().net.clone(), gad.config().head_widths(shape))),
+            local: self.motion.lgd.as_ref().and_then(|lgd| Some((lgd.net_config()?, lgd.head_widths()))),
             local_hash: self.motion.lgd.as_ref().and_then(Lgd::hash_values),
             cameras: self.cameras as usize,
             segments: self.motion.intervals.as_ref().map_or(0, Intervals::len),

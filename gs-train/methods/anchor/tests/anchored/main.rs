@@ -194,10 +194,14 @@ fn boundaries_move_and_are_reported() {
 
 #[test]
 fn folding_leaves_out_what_pictures_do_not_need() {
-    let config = modec("");
-    let trainer = trained(&config, 60);
+    folds(&modec(""));
+    folds(&modec("gad.heads = [\"positions\"]\nlgd.move_scales = false"));
+}
+
+fn folds(config: &toml::Table) {
+    let trainer = trained(config, 60);
     let (method, camera) = (trainer.model(), &trainer.dataset().train[0].camera);
-    let (slim_config, folded) = method.fold(&config).expect("an appearance to fold");
+    let (slim_config, folded) = method.fold(config).expect("an appearance to fold");
     let (before, after) = (splats(method, 0.3, camera), splats(&folded, 0.3, camera));
     let pictures = (picture(method, &before, camera), picture(&folded, &after, camera));
     let worst = pictures.0.iter().zip(&pictures.1).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
