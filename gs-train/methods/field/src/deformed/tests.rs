@@ -159,7 +159,13 @@ fn a_still_splat_that_the_image_shows_elsewhere_takes_part_again() {
         if step == 3 {
             image.shown.means[row].x += 0.1;
         }
-        method.begin_step(&StepCtx { step, stage_steps: 100, dynamic: true, ..StepCtx::default() });
+        method.begin_step(&StepCtx {
+            step,
+            stage_steps: 100,
+            stage_offset: step - 1,
+            dynamic: true,
+            ..StepCtx::default()
+        });
         method.step(&view, &mut image).unwrap();
         decisions.extend(method.end_step().unwrap().log);
     }
