@@ -194,6 +194,7 @@ pub enum FolderError {
 /// If a folder cannot be listed or paired, a file cannot be read, or a pair cannot be compared.
 pub fn score(task: &FolderTask) -> Result<FolderScores, FolderError> {
     let (images, truths) = (ImageFolder::of(&task.pred)?, ImageFolder::of(&task.gt)?);
+    let by_order = images.is_apart_from(&truths);
     let truths = images.partners(&truths, false)?;
     let masks = task.mask.as_deref().map(ImageFolder::of).transpose()?;
     let masks = masks.as_ref().map(|m| images.partners(m, true)).transpose()?;
@@ -219,7 +220,7 @@ pub fn score(task: &FolderTask) -> Result<FolderScores, FolderError> {
         images: comparer.finish(),
         tof,
         behind: behinds.finish(),
-        protocol: protocol(task, behinds.clear),
+        protocol: protocol(task, behinds.clear, by_order),
     })
 }
 
@@ -233,7 +234,7 @@ fn read_pair(task: &FolderTask, pred: &Path, gt: &Path) -> Result<[Loaded; 2], F
 }
 
 /// Conditions of the comparison, in words.
-fn protocol(task: &FolderTask, clear: bool) -> String {
+fn protocol(task: &FolderTask, clear: bool, by_order: bool) -> String {
     let quantised = match task.quantise {
         Quantise::None => "values as stored",
         Quantise::Round => "rounded to 8 bit",
@@ -242,6 +243,9 @@ fn protocol(task: &FolderTask, clear: bool) -> String {
     let half = if task.half { ", reduced to half size by means of areas of 2x2 pixels" } else { "" };
     let mut parts =
         vec![format!("data range 1, {quantised}{half}; SSIM 11x11 with zero padding; perceptual_proxy is not LPIPS")];
+    if by_order {
+        parts.push("images and truths have no name in common: paired in the order of their numbers".to_owned());
+    }
     if clear {
         let [r, g, b] = task.background;
         parts.push(format!("transparent pixels over {r},{g},{b}"));

@@ -18,7 +18,8 @@ pub use entry::Entry;
 use gs_train::evaluate::EvalReport;
 use gs_train::registry::Registry;
 pub use gs4d_eval::spread::{SCORES, Score, Spread};
-use gs4d_run::settings::{Request, resolve};
+use gs4d_run::config::ConfigError;
+use gs4d_run::settings::{self, Request, resolve};
 use gs4d_run::{Progress, RunError, Scored};
 pub use job::Job;
 pub use plan::Plan;
@@ -299,6 +300,10 @@ impl Contest {
             ..Request::default()
         };
         let trial = if name.is_empty() { entry.label.clone() } else { format!("{} / {name}", entry.label) };
+        if request.sets.iter().any(|set| settings::is_of(set, "run.seed")) {
+            let why = "run.seed is the seed of a trial: name seeds by --seeds, not by --set".to_owned();
+            return Err(TrialError { trial, source: Box::new(ConfigError::Invalid(why).into()) }.into());
+        }
         match resolve(&self.registry, &request) {
             Ok(resolved) => Ok(Job { trial, run: self.root.join(entry.slug()).join(name), request, resolved }),
             Err(source) => Err(TrialError { trial, source: Box::new(source) }.into()),

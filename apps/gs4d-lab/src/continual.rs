@@ -20,6 +20,7 @@ use gs_data::Split;
 use gs_train::evaluate::{MeanScores, evaluate};
 use gs_train::registry::Registry;
 pub use gs4d_run::folder::ROUNDS as FILE;
+use gs4d_run::provenance::began_on;
 use gs4d_run::settings::Request;
 use gs4d_run::training::few_views;
 use gs4d_run::{Outcome, Progress, RunError, Training};
@@ -169,6 +170,10 @@ pub fn run(
     let found = if overwrite { None } else { standing(root, &identity, &sequence.ends)? };
     let (first, mut training, mut done) = match found {
         Some(Standing { folder, newest, round, done }) => {
+            let begun = sequence.data(0)?;
+            if began_on(&folder, &begun) == Some(false) {
+                return Err(RunError::DataChanged { path: begun.root.clone(), run: root.to_owned() });
+            }
             let training = Training::resume_on(folder, newest, sequence.settings(round)?, sequence.data(round)?)?;
             (round, training, done)
         }

@@ -307,16 +307,18 @@ impl Order {
         });
         let ours = spread.map(|s| s.mean);
         let scenes = if means.len() > 2 { means.len() } else { 0 };
-        let verdict = published.and_then(|p| Some((p, ours?))).map(|(published, ours)| match half_width {
-            Some(half) if pairs.len() > 2 && ours.abs() > half => {
-                if ours * published > 0.0 {
-                    Verdict::AsPublished
-                } else {
-                    Verdict::Opposite
+        // Entries that were published as equal have no order.
+        let verdict =
+            published.filter(|p| *p != 0.0).and_then(|p| Some((p, ours?))).map(|(published, ours)| match half_width {
+                Some(half) if pairs.len() > 2 && ours.abs() > half => {
+                    if ours * published > 0.0 {
+                        Verdict::AsPublished
+                    } else {
+                        Verdict::Opposite
+                    }
                 }
-            }
-            _ => Verdict::NotShown,
-        });
+                _ => Verdict::NotShown,
+            });
         Self { other, published, ours, half_width, scenes, pairs: pairs.len(), verdict }
     }
 }

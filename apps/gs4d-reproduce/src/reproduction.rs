@@ -108,6 +108,12 @@ pub enum ReproduceError {
         /// Its files.
         layout: String,
     },
+    /// A scene is named twice.
+    #[error("the scene {name} is named twice, and its runs would count as two")]
+    Twice {
+        /// The name.
+        name: String,
+    },
     /// A generated scene cannot be written.
     #[error(transparent)]
     Data(#[from] DataError),
@@ -124,6 +130,10 @@ impl Reproduction {
             return Err(ReproduceError::Command(table.command.unwrap_or_default()));
         };
         let set = DataSet::find(data)?;
+        let asked = &conditions.scenes;
+        if let Some(k) = (0..asked.len()).find(|&k| asked[..k].contains(&asked[k])) {
+            return Err(ReproduceError::Twice { name: asked[k].clone() });
+        }
         let (mut here, mut absent) = (Vec::new(), Vec::new());
         for scene in &table.scenes {
             match set.folder(scene, &conditions.data) {
@@ -266,7 +276,7 @@ mod tests {
         assert_eq!(contests[0].data, root.path().join("captures/hook"));
         assert_eq!(contests[0].sets, ["data.scale=0.5", "run.log_every=1"]);
         let labels: Vec<&str> = contests[0].entries.iter().map(|e| e.label.as_str()).collect();
-        assert_eq!(labels, ["fags:tiny", "grid4d:tiny", "acutance:tiny", "fourdgs:tiny", "defgs:tiny"]);
+        assert_eq!(labels, ["fags:tiny", "grid4d:tiny", "fourdgs:tiny", "defgs:tiny"]);
     }
 
     #[test]
@@ -299,7 +309,7 @@ mod tests {
         let published = Conditions { preset: None, ..conditions(root.path()) };
         let table = Reproduction::new(Table::find("fags", "neu3d").unwrap(), published).unwrap();
         let labels = table.entries(&table.scenes[0]).unwrap().into_iter().map(|e| e.label).collect::<Vec<_>>();
-        assert_eq!(labels, ["fags:neu3d", "grid4d:neu3d", "fourdgs:paper"]);
+        assert_eq!(labels, ["fags:neu3d", "grid4d:neu3d", "fourdgs:neu3d"]);
 
         folder(root.path(), "broom", "hypernerf");
         let labels = |preset: Option<&str>, length: Length| -> Vec<String> {
@@ -310,7 +320,7 @@ mod tests {
         let published = labels(None, Length::Recipe);
         let with_recipe = |label: &str| label.contains("field.bound=0.8 ") && label.contains("warm_up.steps=0 ");
         assert!(
-            with_recipe(&published[0]) && with_recipe(&published[1]) && published[2] == "fourdgs:paper",
+            with_recipe(&published[0]) && with_recipe(&published[1]) && published[2] == "fourdgs:neu3d",
             "{published:?}"
         );
         for labels in [labels(Some("fast"), Length::Recipe), labels(None, Length::Steps(100))] {
@@ -322,16 +332,21 @@ mod tests {
     }
 
     #[test]
+    fn a_scene_is_named_once() {
+        let root = tempfile::tempdir().unwrap();
+        let twice = Conditions { scenes: vec!["sheet-a".into(), "sheet-a".into()], ..conditions(root.path()) };
+        let refused = Reproduction::new(Table::find("fags", "ablation").unwrap(), twice).err();
+        assert!(matches!(refused, Some(ReproduceError::Twice { name }) if name == "sheet-a"));
+    }
+
+    #[test]
     fn a_scene_has_settings_of_its_own_for_one_entry() {
         let root = tempfile::tempdir().unwrap();
         folder(root.path(), "skating", "nvfi-real");
         let table = Reproduction::new(Table::find("trace", "real").unwrap(), conditions(root.path())).unwrap();
         let contest = table.contests(gs_methods::registry()).unwrap().remove(0);
-        assert_eq!(contest.entries[0].label, "trace:tiny physics.start=0.35");
-        assert_eq!(
-            (contest.entries[3].label.as_str(), contest.sets[0].as_str()),
-            ("defgs:tiny", "data.time_boundary=0.65")
-        );
+        assert_eq!(contest.entries[0].label, "trace:tiny physics.back_frames=6.0 physics.start=0.467");
+        assert_eq!(contest.entries[3].label, "defgs:tiny");
     }
 
     #[test]

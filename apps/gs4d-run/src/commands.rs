@@ -15,6 +15,8 @@ pub(crate) struct Subject<'a> {
     pub(crate) step: u32,
     /// Optimizer steps of the whole schedule.
     pub(crate) steps: u64,
+    /// The command of a training in rounds, which alone goes on with it.
+    pub(crate) rounds: Option<String>,
 }
 
 /// What can be done with a run: in words, and as a command line for a POSIX shell. New files are put beside the run folder.
@@ -33,7 +35,10 @@ pub(crate) fn commands(of: &Subject<'_>) -> Vec<[String; 2]> {
     let line = |what: &str, command: String| [what.to_owned(), format!("gs4d {command}")];
     vec![
         line("Look at the scene in a browser", format!("view {run}")),
-        line(&format!("Resume: {resume}"), format!("resume {run}{resumed}")),
+        match &of.rounds {
+            Some(command) => ["Go on with the rounds".to_owned(), command.clone()],
+            None => line(&format!("Resume: {resume}"), format!("resume {run}{resumed}")),
+        },
         line("Score the views again", format!("eval {run} --split {}", of.split)),
         line(
             "Render once around the scene",
@@ -54,7 +59,7 @@ mod tests {
     fn paths_are_quoted_and_files_stand_beside_the_run() {
         let of = |root: &str, step: u32, dynamic: bool| {
             let root = Path::new(root);
-            let lines = commands(&Subject { root, split: "test", dynamic, step, steps: 300 });
+            let lines = commands(&Subject { root, split: "test", dynamic, step, steps: 300, rounds: None });
             lines.into_iter().map(|[_, line]| line).collect::<Vec<_>>()
         };
         let lines = of("my runs/it's one", 300, true);

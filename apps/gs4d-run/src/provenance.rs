@@ -225,6 +225,11 @@ pub(crate) fn trained_on(folder: &RunFolder, dataset: &Dataset) -> Option<bool> 
     is_of(&provenance, &digest(dataset), &details(dataset))
 }
 
+/// Whether a training in rounds began on these data; `None` if that is not known.
+pub fn began_on(folder: &RunFolder, dataset: &Dataset) -> Option<bool> {
+    is_of(&read(folder)?, &digest(dataset), &details(dataset))
+}
+
 /// Digest of the data that a run was trained on last.
 pub(crate) fn known_digest(folder: &RunFolder) -> Option<String> {
     known(&read(folder)?, "/digest", "/data/digest")

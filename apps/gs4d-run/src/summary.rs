@@ -5,7 +5,7 @@ use super::overlays::overlay_figures;
 use super::provenance::COMMIT;
 use super::work::{drawing_rows, peak_memory_mib, resting_rows, step_phases, training_rows};
 use super::{Resolved, RunError, commands, per_view, score_table};
-use gs_core::{Camera, Time};
+use gs_core::{Camera, Time, cast};
 use gs_data::{Dataset, ImageCache, View};
 use gs_raster::RasterOptions;
 use gs_train::device::Device;
@@ -16,7 +16,7 @@ use gs_train::renderer::Renderer;
 use gs_train::timestamp::Timestamp;
 use gs4d_report::analysis::AnalysisError;
 use gs4d_report::analysis::paths::{painted, sample_count, second_difference_overlay};
-use gs4d_report::analysis::{Analysis, RenderCost, Snapshot};
+use gs4d_report::analysis::{Analysis, Histogram, RenderCost, Snapshot};
 use gs4d_report::inspect::bytes_text;
 use gs4d_report::needs::needs;
 use gs4d_report::storage::Storage;
@@ -90,6 +90,7 @@ pub(crate) fn build_report(m: &ReportInput) -> Result<Report, RunError> {
             dynamic: m.dataset.dynamic,
             step: m.step,
             steps: m.resolved.steps(),
+            rounds: m.folder.rounds().and_then(|r| r["command"].as_str().map(str::to_owned)),
         }),
         ..Report::default()
     };
@@ -257,20 +258,43 @@ fn analysis(m: &ReportInput, seen: &[(Camera, Time)], options: &RasterOptions) -
 
 /// Heat maps of the attributes pooled over times, from the lines of the histogram log.
 fn heat_maps(lines: &[Value]) -> Vec<HeatMap> {
-    let mut maps: Vec<HeatMap> = Vec::new();
+    let mut names: Vec<String> = Vec::new();
+    let mut columns: Vec<Vec<(u64, Histogram)>> = Vec::new();
     for line in lines {
         let (Some(step), Ok(snapshot)) = (line["step"].as_u64(), Snapshot::deserialize(line)) else { continue };
         for h in snapshot.histograms.into_iter().filter(|h| h.time.is_none()) {
-            let known = maps.iter().position(|m| m.name == h.name);
-            let at = known.unwrap_or_else(|| {
-                maps.push(HeatMap { name: h.name, span: h.span, ..HeatMap::default() });
-                maps.len() - 1
+            let at = names.iter().position(|name| *name == h.name).unwrap_or_else(|| {
+                names.push(h.name.clone());
+                columns.push(Vec::new());
+                names.len() - 1
             });
-            maps[at].steps.push(step);
-            maps[at].counts.push(h.counts);
+            columns[at].push((step, h));
         }
     }
-    maps
+    names.into_iter().zip(columns).map(|(name, columns)| heat_map(name, &columns)).collect()
+}
+
+/// Histograms of one attribute over the range of them all: each has its own where the attribute has none.
+fn heat_map(name: String, columns: &[(u64, Histogram)]) -> HeatMap {
+    let low = columns.iter().map(|(_, h)| h.span[0]).fold(f32::INFINITY, f32::min);
+    let high = columns.iter().map(|(_, h)| h.span[1]).fold(f32::NEG_INFINITY, f32::max);
+    let (steps, counts) = columns.iter().map(|(step, h)| (*step, rebinned(h, [low, high]))).unzip();
+    HeatMap { name, span: [low, high], steps, counts }
+}
+
+/// The counts of a histogram in as many bins of a range that holds its own; each bin goes where its middle is.
+fn rebinned(h: &Histogram, span: [f32; 2]) -> Vec<u32> {
+    if h.span == span {
+        return h.counts.clone();
+    }
+    let ([from, to], [low, high]) = (h.span.map(f64::from), span.map(f64::from));
+    let (bins, mut counts) = (h.counts.len(), vec![0; h.counts.len()]);
+    for (k, count) in h.counts.iter().enumerate() {
+        let middle = from + (to - from) * (k as f64 + 0.5) / bins as f64;
+        let place = cast::to_usize(((middle - low) / (high - low) * bins as f64).max(0.0));
+        counts[place.min(bins - 1)] += count;
+    }
+    counts
 }
 
 /// Provenance as rows `section.name`, value.

@@ -117,6 +117,11 @@ pub struct Progress {
     pub seconds: f64,
 }
 
+/// What a run keeps of its data, as the text of a file.
+fn kept_text(dataset: &Dataset) -> Result<String, RunError> {
+    Ok(format!("{}\n", Kept::of(dataset).to_json()?))
+}
+
 impl Training {
     /// Begins a run in a new folder.
     ///
@@ -149,7 +154,7 @@ impl Training {
         let beginning = Beginning {
             config: &config,
             provenance: &format!("{provenance:#}\n"),
-            data: &format!("{}\n", Kept::of(trainer.dataset()).to_json()?),
+            data: &kept_text(trainer.dataset())?,
         };
         let folder = RunFolder::create(root, overwrite, &beginning)?;
         let stop_at = resolved.run.time_budget;
@@ -250,6 +255,7 @@ impl Training {
         let state = &newest.checkpoint;
         let trainer = Trainer::resume_with_more_views(&resolved.registry, dataset, state, config, bytes)?;
         folder.write(folder::CONFIG, &resolved.to_toml()?)?;
+        folder.write(folder::DATA, &kept_text(trainer.dataset())?)?;
         folder.cut_logs(trainer.steps_done())?;
         Ok(Self { skipped: newest.skipped, ..Self::new(trainer, resolved, folder, 0.0) })
     }
@@ -261,6 +267,7 @@ impl Training {
     pub fn grow(self, resolved: Resolved, dataset: Arc<Dataset>) -> Result<Self, RunError> {
         let trainer = self.trainer.with_more_views(&resolved.registry, dataset, &resolved.method)?;
         self.folder.write(folder::CONFIG, &resolved.to_toml()?)?;
+        self.folder.write(folder::DATA, &kept_text(trainer.dataset())?)?;
         Ok(Self { trainer, resolved, window: Window::default(), ..self })
     }
 

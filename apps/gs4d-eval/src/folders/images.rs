@@ -56,8 +56,13 @@ impl ImageFolder {
         &self.files
     }
 
-    /// For every image its counterpart in `there`: the one of the same name or, where all names of both folders contain digits
-    /// and their numbers are equal, the one at the same position.
+    /// Whether no name is in both folders.
+    pub(crate) fn is_apart_from(&self, there: &Self) -> bool {
+        self.without(there).len() == self.files.len()
+    }
+
+    /// For every image its counterpart in `there`: the one of the same name or, where no name is in both, all names contain digits
+    /// and there are as many, the one at the same position.
     ///
     /// # Errors
     /// If an image has no counterpart, or (unless `more` is set) `there` holds other images as well.
@@ -69,7 +74,7 @@ impl ImageFolder {
             return Ok(found.into_iter().flatten().collect());
         }
         let counted = |p: &Self| p.files.iter().all(|f| f.name.contains(|c: char| c.is_ascii_digit()));
-        if self.files.len() == there.files.len() && counted(self) && counted(there) {
+        if self.is_apart_from(there) && self.files.len() == there.files.len() && counted(self) && counted(there) {
             return Ok(there.files.iter().collect());
         }
         let (names, folder) =

@@ -9,12 +9,13 @@ use gs4d_report::{ReportError, Still};
 const BODIES: &str = "Each moves along one path, fitted to the frames before: with the standard deviation of where its splats are \
                       forecast to be, in world units.";
 
-/// Renders a forecast as one self-contained HTML page.
+/// Renders a forecast as one self-contained HTML page; its frames are later than the first of two times, training ends at the second.
 ///
 /// # Errors
 /// If a chart or image cannot be encoded.
 pub fn page(
     title: &str,
+    [from, last]: [f64; 2],
     moments: &[TimestampScores],
     strip: &[Still],
     physics: Option<&Physics>,
@@ -51,7 +52,11 @@ pub fn page(
         + &section("Frames", "", &wrapped("strip", stills))
         + &section("What was learnt of the motion", "Visible splats.", &learnt)
         + &section("Rigid bodies", BODIES, &bodies);
-    Ok(document(title, "Frames after the last training time.", &parts))
+    let lead = match from == last {
+        true => "Frames after the last training time.".to_owned(),
+        false => format!("Frames after time {from:.4}; training ends at {last:.4}."),
+    };
+    Ok(document(title, &lead, &parts))
 }
 
 #[cfg(test)]
@@ -81,12 +86,12 @@ mod tests {
             frames: 8,
             deviations: vec![0.01, 0.02],
         };
-        let html = page("<b>", &[moment(0.1), moment(0.2)], &[still], None, &[body]).unwrap();
+        let html = page("<b>", [0.75, 0.75], &[moment(0.1), moment(0.2)], &[still], None, &[body]).unwrap();
         assert_eq!((html.matches("<svg").count(), html.matches("data:image/png").count()), (1, 1));
         let values = ["<td>fall", ">12<", ">8<", ">5.0000<", ">9.8100<", ">0.0100<", ">0.0200<"];
         assert!(values.iter().all(|v| html.contains(v)), "{html}");
         assert!(html.contains("&lt;b&gt;") && !html.contains("What was learnt"));
-        let empty = page("x", &[], &[], None, &[]).unwrap();
+        let empty = page("x", [0.2, 0.75], &[], &[], None, &[]).unwrap();
         assert!(!empty.contains("<svg") && !empty.contains("<section"));
     }
 }

@@ -10,14 +10,15 @@ use gs_data::DataError;
 use gs_data::decode::decode;
 use gs_synth::Truth;
 use gs_synth::body::MotionClass;
+use gs4d_eval::forecast::Clock;
 
 /// Source of the object masks.
 #[derive(Clone, Debug)]
 pub enum Masks {
     /// One mask `[H, W, 1]` with values 0 or 1 for all times, or one per time.
     Given(Vec<Image>),
-    /// The rigidly moving bodies of a generated scene.
-    Truth(Box<Truth>),
+    /// The rigidly moving bodies of a generated scene, and the clock of the data, which is the scene's; none where that is the normalised time.
+    Truth(Box<Truth>, Option<Clock>),
     /// Pixels where the model's first flow is at least half of its 95th percentile. Ratios are then above 1 by construction.
     Threshold,
 }
@@ -53,7 +54,7 @@ impl Masks {
     pub fn source(&self) -> &'static str {
         match self {
             Self::Given(_) => "given",
-            Self::Truth(_) => "rigid bodies of the generated scene",
+            Self::Truth(..) => "rigid bodies of the generated scene",
             Self::Threshold => "threshold of the model's first flow: ratios above 1 by construction",
         }
     }
@@ -79,7 +80,9 @@ impl Masks {
     pub(super) fn at(&self, k: usize, time: f32, camera: &Camera, first: &Flow) -> Image {
         match self {
             Self::Given(all) => all[k.min(all.len() - 1)].clone(),
-            Self::Truth(truth) => truth.mask(camera, f64::from(time), MotionClass::Global),
+            Self::Truth(truth, clock) => {
+                truth.mask(camera, Clock::time(*clock, f64::from(time)).seconds, MotionClass::Global)
+            }
             Self::Threshold => {
                 let lengths = first.magnitudes();
                 let mut sorted = lengths.clone();

@@ -243,7 +243,7 @@ mod tests {
     #[test]
     fn a_field_at_rest_shows_no_motion() {
         let (method, data) = begun("fourdgs");
-        let all = stills(&method, &data, &Masks::Truth(Box::new(data.truth.clone())), &[0.0, 0.56]).unwrap();
+        let all = stills(&method, &data, &Masks::Truth(Box::new(data.truth.clone()), None), &[0.0, 0.56]).unwrap();
         assert_eq!(all.len(), 2);
         for still in &all {
             let names: Vec<_> = still.pictures.iter().map(|p| p.0).collect();

@@ -77,12 +77,14 @@ impl Side {
         let views = self.dataset.views(options.split);
         let background = options.background.unwrap_or_else(|| self.run.background());
         let split = split_name(options.split);
+        let DataOrigin { digest, details, .. } = DataOrigin::of(&self.dataset);
         vec![
             ("layout", self.dataset.layout.to_owned()),
             ("number of views", format!("{} of split {split}", views.len())),
             ("size", size_text(views, &self.run.images())),
             ("background", color_name(background)),
-            ("data digest", DataOrigin::of(&self.dataset).digest),
+            ("data digest", digest),
+            ("digest of times, lenses and depth", details),
         ]
     }
 

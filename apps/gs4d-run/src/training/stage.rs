@@ -93,7 +93,11 @@ impl Training {
                 Ok(training)
             }
             _ => {
-                let request = ResumeRequest { image_mib: Some(resolved.run.image_mib), ..ResumeRequest::default() };
+                let found = RunFolder::open(root)?.read(CONFIG)?;
+                let known = Resolved::read(&resolved.registry, &found, CONFIG)?.run.image_mib;
+                // Settings that stay as they are keep their sources.
+                let image_mib = Some(resolved.run.image_mib).filter(|mib| *mib != known);
+                let request = ResumeRequest { image_mib, ..ResumeRequest::default() };
                 let resumed = Self::resume(&resolved.registry, root, &request)?;
                 Ok(Self { stop_at: resolved.run.time_budget, ..resumed })
             }

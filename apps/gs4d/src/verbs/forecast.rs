@@ -122,6 +122,7 @@ impl ForecastVerb {
         let physics = particles.map(|p| Physics::of(&p, clock, steps));
         let moments = truth.as_ref().map(|t| t.moments(last));
         let report = Report {
+            from,
             last,
             clock,
             frames: &frames,
@@ -133,8 +134,14 @@ impl ForecastVerb {
         };
         let json = report.json(&self.run);
         write_file(&beside[0], self.force, |out| writeln!(out, "{json:#}"))?;
-        let html =
-            page(&title(&self.run), report.moments.unwrap_or_default(), &strip, report.physics.as_ref(), &bodies);
+        let html = page(
+            &title(&self.run),
+            [from, last],
+            report.moments.unwrap_or_default(),
+            &strip,
+            report.physics.as_ref(),
+            &bodies,
+        );
         let html = html.map_err(gs4d_run::RunError::from)?;
         write_file(&beside[1], self.force, |out| out.write_all(html.as_bytes()))?;
         Ok(Answer::new(report.text(&self.out), json))
@@ -212,6 +219,7 @@ struct FrameInfo<'a> {
 
 /// Everything the forecast reports.
 struct Report<'a> {
+    from: f64,
     last: f64,
     clock: Option<Clock>,
     frames: &'a [FrameInfo<'a>],
@@ -246,6 +254,7 @@ impl Report<'_> {
         let [motion, render] = self.medians();
         json!({
             "run": run.display().to_string(),
+            "from": self.from,
             "last_training_time": self.last,
             "clock": self.clock,
             "frames": self.frames.iter().map(frame).collect::<Vec<_>>(),
@@ -263,9 +272,10 @@ impl Report<'_> {
         let ([motion, render], n) = (self.medians(), self.frames.len());
         let first = self.frames.first().map_or(0.0, |f| f.ms[0]);
         let mut text = format!(
-            "{n} frames after {:.4} -> {}\nper frame: motion {motion:.2} ms, render {render:.2} ms (medians; motion of the first \
+            "{n} frames after {:.4}{} -> {}\nper frame: motion {motion:.2} ms, render {render:.2} ms (medians; motion of the first \
              {first:.2} ms)\n",
-            self.last,
+            self.from,
+            if self.from == self.last { String::new() } else { format!(" (training ends at {:.4})", self.last) },
             out.display()
         );
         if let (Some(truth), Some(moments)) = (self.truth, self.moments) {

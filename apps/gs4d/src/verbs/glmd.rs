@@ -13,6 +13,7 @@ use gs_core::io::images::save_png;
 use gs_core::io::{Limits, write_file};
 use gs_data::Split;
 use gs_synth as synth;
+use gs4d_eval::forecast::Clock;
 use gs4d_lab::glmd::{self, Anchor, GlmdError, Masks, Mean, Options, Reference, Still, Study, Switches};
 use gs4d_run::OpenRun;
 use serde_json::{Value, json};
@@ -160,7 +161,8 @@ impl Glmd {
             return Ok(Masks::of_folder(folder)?);
         }
         let truth = synth::truth_of(Path::new(&run.resolved.run.data));
-        Ok(truth.map_or(Masks::Threshold, |t| Masks::Truth(Box::new(t))))
+        let clock = run.open_data().ok().as_ref().and_then(Clock::of);
+        Ok(truth.map_or(Masks::Threshold, |t| Masks::Truth(Box::new(t), clock)))
     }
 
     /// Creates the output folder; fails if an output exists, unless forced.

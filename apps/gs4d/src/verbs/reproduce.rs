@@ -267,6 +267,7 @@ fn failure(e: ReproduceError) -> Failure {
     match e {
         ReproduceError::Table(e) => unknown(e),
         ReproduceError::Command(command) => Failure::usage(text).remedy(command),
+        ReproduceError::Twice { .. } => Failure::usage(text).remedy("name each scene once in --scenes"),
         ReproduceError::UnknownScene { .. } => Failure::usage(text).remedy("choose one of these with --scenes"),
         ReproduceError::UnknownEntry { .. } => Failure::usage(text).remedy("choose one of these with --entries"),
         ReproduceError::AbsentScene { .. } => {

@@ -12,6 +12,7 @@ use gs_data::Dataset;
 use gs_train::checkpoint;
 use gs_train::evaluate::EvalReport;
 use gs4d_run::config::Source;
+use gs4d_run::folder::REPORT;
 use gs4d_run::opened::metrics_json;
 use gs4d_run::settings::{Request, resolve};
 use gs4d_run::summary::color_name;
@@ -92,7 +93,9 @@ impl Train {
         if let Some(mib) = self.images.image_cache {
             resolved = resolved.with_image_cache(mib)?;
         }
+        // Without its report it was killed after its scores: they are made again.
         if self.go_on
+            && self.out.join(REPORT).exists()
             && let Stage::Finished(scored) = Stage::of(&self.out, &resolved)?
         {
             // Scores stand without checkpoints, but then nothing can be looked at or gone on with.

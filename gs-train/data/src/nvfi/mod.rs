@@ -124,7 +124,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let mut drafts = Drafts { train: train.named(), val: Vec::new(), test: held.named() };
     let cameras = number_cameras(&mut drafts);
     notes.push(format!("{cameras} cameras, identified by their poses and numbered in order of appearance"));
-    notes.push("the authors score at data.scale=0.5 where images have 800 pixels, truncated to 8 bit; scores here are of unrounded renders".into());
+    notes.push("the authors train at 800 pixels where images have them, and score renders reduced to half and truncated to 8 bit: gs4d eval --half --quantise truncate".into());
     let options = DataOptions { time_boundary: Some(boundary), time_range: Some(whole), ..options.clone() };
     let mut data = settle(drafts, &options, None)?.dataset(dir, LAYOUT.name, has_alpha, notes);
     data.points = points(&root, &mut data.notes)?;

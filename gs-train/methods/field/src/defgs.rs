@@ -22,6 +22,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     defaults: &[BASE, CLOUD, STILL, DEFORMED, FOLLOW, NETWORK, include_str!("defgs.toml")],
     presets: &[
         ("paper", &[]),
+        ("hypernerf", &[include_str!("defgs.hypernerf.toml")]),
         ("fast", &[CLOUD_FAST, NETWORK_FAST, MOTION_FAST, include_str!("defgs.fast.toml")]),
         ("tiny", &[CLOUD_TINY, NETWORK_TINY, include_str!("defgs.tiny.toml")]),
     ],

@@ -13,6 +13,8 @@ use gs_train::schedule::Schedule;
 use gs_train::still::training::StillConfig;
 use serde::{Deserialize, Serialize};
 
+const CAPTURES: &str = include_str!("fourdgs.captures.toml");
+
 /// The line in the list of methods.
 pub const ENTRY: MethodEntry = MethodEntry {
     name: "fourdgs",
@@ -20,6 +22,8 @@ pub const ENTRY: MethodEntry = MethodEntry {
     defaults: &[BASE, CLOUD, STILL, PLANES, include_str!("fourdgs.toml")],
     presets: &[
         ("paper", &[]),
+        ("hypernerf", &[CAPTURES, include_str!("fourdgs.hypernerf.toml")]),
+        ("neu3d", &[CAPTURES, include_str!("fourdgs.neu3d.toml")]),
         ("fast", &[CLOUD_FAST, PLANES_FAST, include_str!("fourdgs.fast.toml")]),
         ("tiny", &[CLOUD_TINY, PLANES_TINY, include_str!("fourdgs.tiny.toml")]),
     ],

@@ -59,7 +59,7 @@ fn a_run_with_still_splats_keeps_what_every_run_keeps() {
         ("fags", "{ warm_up.steps = 10, dynamic.steps = 50 }"),
     ];
     for (method, stages) in stages {
-        let over = "still = { pixels = 0.2, shape = 0.2, every = 7, turn = 3, from = 0.2, until = 1.0 }";
+        let over = "still = { pixels = 5.0, shape = 5.0, every = 7, turn = 3, from = 0.2, until = 1.0 }";
         let config = short(&registry, method, &[over, &format!("schedule.stages = {stages}")]);
         // What the check of states saves half-way lies between two decisions.
         let mut trainer = start(&registry, &data, method, &config, 3);
