@@ -71,16 +71,11 @@ fn whole() -> f64 {
 impl CameraConfig {
     /// Verifies what the domains of single settings do not say.
     pub(crate) fn check(&self) -> Result<(), String> {
-        let Self { refine, focal, after, until, .. } = *self;
+        let Self { after, until, .. } = *self;
         if until <= after && after < 1.0 {
             return Err(format!(
                 "cameras.until = {until} is not later than cameras.after = {after}: rates would have fallen before they begin"
             ));
-        }
-        if focal && !refine {
-            return Err(
-                "cameras.focal = true corrects nothing without cameras.refine = true: set both, or neither".into()
-            );
         }
         Ok(())
     }
@@ -480,8 +475,6 @@ mod tests {
             let fallen = CameraConfig { after: 0.3, until, ..config }.check().unwrap_err();
             assert!(fallen.contains(&format!("cameras.until = {until}")), "{fallen}");
         }
-        let alone = CameraConfig { focal: true, refine: false, ..CameraConfig::default() };
-        assert!(alone.check().unwrap_err().contains("cameras.focal"));
         assert_eq!((config.check(), part.check()), (Ok(()), Ok(())));
         let off = Cameras::new(CameraConfig { refine: false, ..config }, Vec::new());
         assert_eq!((off.update(NAMES[0], 0.5, 1.0), rate("cloud.means", 0.5)), (None, None));

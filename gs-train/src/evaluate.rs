@@ -26,7 +26,7 @@ use gs_metrics::{
     Lpips, Mean, MetricError, Quantise, Scorer, Scores, Sharpness, SsimOptions, Summary, half_size, masked_mse,
     masked_perceptual_proxy, masked_ssim, mse, person_scores, psnr_from_mse, ssim,
 };
-use gs_raster::{DeviceError, Frame};
+use gs_raster::{DeviceError, Frame, RasterOptions};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -344,13 +344,15 @@ pub struct Scoring<'a> {
     pub lpips: Option<&'a Lpips>,
     /// Scores in the colours of the images as well ([`FittedScores`]), which methods that were trained so always get; never at half size.
     pub fit_colors: bool,
+    /// Draws as programs draw that know splats alone: 3DGS's dilation, near plane of files, not anti-aliased; else as the model was trained.
+    pub plain: bool,
 }
 
 impl<'a> Scoring<'a> {
     /// Frames that are neither rounded nor reduced, without LPIPS, in their own colours.
     pub fn new(background: [f32; 3], images: &'a ImageCache, share: &'a Share, device: &'a Device) -> Self {
-        let (quantise, half, lpips, fit_colors) = Default::default();
-        Self { background, images, share, device, quantise, half, lpips, fit_colors }
+        let (quantise, half, lpips, fit_colors, plain) = Default::default();
+        Self { background, images, share, device, quantise, half, lpips, fit_colors, plain }
     }
 
     /// The scores of the frame of a view, and its mean squared error. Of a filmed person, the person counts.
@@ -415,7 +417,10 @@ pub fn evaluate_splats(
     if views.is_empty() {
         return Err(EvalError::NoViews(split_name(split)));
     }
-    let options = model.raster_options(background);
+    let options = match scoring.plain {
+        true => RasterOptions { background, ..RasterOptions::default() },
+        false => model.raster_options(background),
+    };
     let (mut rasterizer, mut frame, mut scorer) =
         (device.open()?, Frame::default(), Scorer::new(SsimOptions::default()));
     let corrections = place(model, views, background, images, share)?;

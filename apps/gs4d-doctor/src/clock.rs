@@ -2,7 +2,7 @@
 
 use super::images::{Fingerprint, ImageChecks};
 use super::{Finding, Verdict, in_step, median};
-use gs_data::{Dataset, Split, View};
+use gs_data::{Dataset, Split, View, moments};
 use std::collections::BTreeMap;
 
 /// A step between consecutive times above this multiple of the median step is reported as a gap.
@@ -22,10 +22,11 @@ pub(super) fn check(data: &Dataset, checked: &ImageChecks) -> Vec<Finding> {
         return vec![finding.fix("gs4d train DATA -m static3d, or give times: --set data.time_from=name")];
     }
     let (late, power) = in_step::check(data, checked);
-    let mut out: Vec<Finding> = [gaps(&times), at_once(data), frozen(&strips(data, checked)), late, outside(data)]
-        .into_iter()
-        .flatten()
-        .collect();
+    let mut out: Vec<Finding> =
+        [gaps(&moments_of(data)), at_once(data), frozen(&strips(data, checked)), late, outside(data)]
+            .into_iter()
+            .flatten()
+            .collect();
     let (first, last) = (times[0].1, times[times.len() - 1].1);
     let text = format!("{}: {} training times from {first} to {last}", data.time_source, times.len());
     if data.time_source.contains("order of file names") {
@@ -36,6 +37,15 @@ pub(super) fn check(data: &Dataset, checked: &ImageChecks) -> Vec<Finding> {
     }
     out.extend(power);
     out
+}
+
+/// The different moments of training, with the data's own time of one of their images each; cameras that are not quite together show one.
+fn moments_of(data: &Dataset) -> Vec<(f32, f64)> {
+    let seconds = data.train.iter().map(|v| v.time.seconds);
+    let mut moments: Vec<(f32, f64)> = moments::of_views(&data.train).into_iter().zip(seconds).collect();
+    moments.sort_by(|a, b| a.0.total_cmp(&b.0));
+    moments.dedup_by(|b, a| b.0 - a.0 < TIME_TOLERANCE);
+    moments
 }
 
 /// Steps between training times that are much longer than usual.

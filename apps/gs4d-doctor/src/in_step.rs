@@ -78,12 +78,14 @@ impl Rig {
 
 /// Cameras that run early or late, and what the check can find; a note where it cannot tell.
 pub(super) fn check(data: &Dataset, checked: &ImageChecks) -> (Option<Finding>, Option<Finding>) {
-    let Some(rig) = Rig::of(data) else { return (None, None) };
-    let (count, moments) = (rig.cameras.len(), rig.moments());
     let unsure = |why: &str, fix: &str| {
         let what = format!("whether cameras run in step cannot be told from these images: {why}");
         (None, Some(Finding::new("time", "time.unsure", Verdict::Note, what).fix(fix)))
     };
+    let Some(rig) = Rig::of(data) else {
+        return if several(data) { unsure("no two cameras have images of the same times", CLAP) } else { (None, None) };
+    };
+    let (count, moments) = (rig.cameras.len(), rig.moments());
     if count < MIN_CAMERAS || moments < MIN_TIMES {
         let why = format!(
             "{count} cameras at rest have {moments} moments in common, and {MIN_CAMERAS} with {MIN_TIMES} are needed"
@@ -105,11 +107,20 @@ pub(super) fn check(data: &Dataset, checked: &ImageChecks) -> (Option<Finding>, 
     clocks.findings(&part)
 }
 
+/// Whether two cameras or more took training images of several times each.
+fn several(data: &Dataset) -> bool {
+    let mut of_camera: BTreeMap<u32, usize> = BTreeMap::new();
+    data.train.iter().for_each(|v| *of_camera.entry(v.camera_id).or_default() += 1);
+    of_camera.values().filter(|n| **n >= MIN_TIMES).count() > 1
+}
+
 /// How much the images of cameras change over the same time steps.
 struct Clocks<'a> {
     /// The first view of each camera.
     views: Vec<&'a View>,
     changes: Vec<Vec<f64>>,
+    /// Whether they film a person, by numbered frames.
+    film: bool,
 }
 
 impl<'a> Clocks<'a> {
@@ -123,7 +134,7 @@ impl<'a> Clocks<'a> {
             Some((&data.views(places[0].0)[places[0].1], changes(&thumbs)))
         };
         let (views, changes): (Vec<&View>, Vec<Vec<f64>>) = rows.filter_map(row).unzip();
-        (changes.len() >= MIN_CAMERAS).then_some(Self { views, changes })
+        (changes.len() >= MIN_CAMERAS).then_some(Self { views, changes, film: data.avatar.is_some() })
     }
 
     /// Cameras that see the same changes as the others, some time steps earlier or later, and what the check can find. None is
@@ -155,6 +166,12 @@ impl<'a> Clocks<'a> {
         let finding = (!late.is_empty()).then(|| {
             let shift = TimeShift(late.iter().filter_map(shift).collect());
             let what = format!("{} cameras run early or late (each named by its first view)", late.len());
+            if self.film {
+                let what = format!("{} cameras run early or late (each named by its first view)", late.len());
+                let late = late.iter().map(name);
+                let fix = "renumber the images of these cameras: a film has no data.time_shift";
+                return Finding::new("time", "time.late", Verdict::Warning, what).at(late).fix(fix);
+            }
             let fix = format!("--set data.time_shift={shift}, or --fix, which adds it to the shifts in scene.toml");
             let finding = Finding::new("time", "time.late", Verdict::Warning, what).at(late.iter().map(name)).fix(fix);
             finding.setting(Some(Setting::Shift(shift)))

@@ -301,7 +301,7 @@ fn captures() {
     for name in
         ["dnerf_mutant_400", "fox_270x480", "neu3d_flame_steak_5view_llff_colmap", "panoptic_basketball_f040-069"]
     {
-        let Some(dir) = gs_core::testkit::shared(&format!("data/{name}")) else { return };
+        let Some(dir) = gs_core::testkit::shared(&format!("data/{name}")) else { continue };
         for step in [1, 3, 9] {
             let mut data = Dataset::open(&dir, &Default::default()).expect("data");
             data.train = data.train.into_iter().step_by(step).collect();

@@ -233,7 +233,7 @@ impl<'a> AsExported<'a> {
     /// Those of the evaluation, and of [`Self::splats`].
     pub fn evaluate(&self, dataset: &Dataset, split: Split, scoring: &Scoring<'_>) -> Result<EvalReport, EvalError> {
         let splats = |at: &Timestamp, _: &Camera| self.splats(at).map_err(|e| MethodError::Render(e.to_string()));
-        evaluate_splats(self.baker.method, &splats, dataset, split, scoring)
+        evaluate_splats(self.baker.method, &splats, dataset, split, &Scoring { plain: true, ..*scoring })
     }
 
     fn round_trip(&self, at: &Timestamp) -> Result<RawSplats, ExportError> {

@@ -46,7 +46,8 @@ impl Extraction<'_> {
     /// Frames at their times, nearest first: at a multiple of the rate, of which every so many-th is kept.
     fn filter(&self, lead: f64) -> String {
         let Self { cut, size: [width, height], is_mask, .. } = self;
-        let flags = if *is_mask { "neighbor" } else { "area" };
+        // JPEG is decoded with the matrix of BT.601 and the full range, whatever those of the video are.
+        let flags = if *is_mask { "neighbor" } else { "area:out_color_matrix=bt601:out_range=pc" };
         let (base, every) = (cut.fps * cut.every as f64, cut.every);
         format!(
             "setpts=PTS-{lead}/TB,fps=fps={base}:start_time=0,framestep={every},scale={width}:{height}:flags={flags},setsar=1"

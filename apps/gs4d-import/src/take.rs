@@ -187,9 +187,10 @@ impl Job<'_> {
         self.state.images = self.sources.iter().map(|(_, files)| files.len()).collect();
         if self.state.rig.is_none() {
             let many = self.sources.len() > 1;
-            let found = if many { Rig::Fixed } else { Rig::Moving };
+            let found = if many && !settings.unordered { Rig::Fixed } else { Rig::Moving };
             self.state.why = match (settings.rig, many) {
                 (Some(_), _) => "as --rig says",
+                (None, true) if settings.unordered => "each took pictures in any order, in a folder of its own",
                 (None, true) => "one folder of images for each",
                 (None, false) => "one folder of images",
             }

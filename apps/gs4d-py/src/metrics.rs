@@ -1,5 +1,6 @@
 //! Scores of images by gs-metrics.
 
+use crate::threads::pool;
 use gs_core::Image;
 use gs_metrics::{MetricError, MsSsimOptions, SsimOptions};
 use numpy::{PyReadonlyArray3, PyUntypedArrayMethods};
@@ -20,8 +21,8 @@ fn score(
         let data = pixels.as_slice()?.to_vec();
         Image::from_data(width, height, channels, data).map_err(|e| PyValueError::new_err(e.to_string()))
     };
-    let (a, b) = (image(a)?, image(b)?);
-    py.detach(|| of(&a, &b)).map_err(|e| PyValueError::new_err(e.to_string()))
+    let (a, b, pool) = (image(a)?, image(b)?, pool(None)?);
+    py.detach(|| pool.install(|| of(&a, &b))).map_err(|e| PyValueError::new_err(e.to_string()))
 }
 
 /// Peak signal-to-noise ratio, dB.

@@ -98,8 +98,8 @@ impl Run {
 
     /// All splats at a normalised time, in the same order at every time.
     fn splats<'py>(&self, py: Python<'py>, t: f64, camera: Option<Matrices>) -> PyResult<Bound<'py, PyDict>> {
-        let (at, camera) = (timestamp(t)?, self.camera(camera)?);
-        let splats = py.detach(|| self.0.loaded.model.all_splats(&at, &camera)).map_err(error)?;
+        let (at, camera, pool) = (timestamp(t)?, self.camera(camera)?, pool(None)?);
+        let splats = py.detach(|| pool.install(|| self.0.loaded.model.all_splats(&at, &camera))).map_err(error)?;
         columns(py, splats)
     }
 

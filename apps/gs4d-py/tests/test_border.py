@@ -178,13 +178,23 @@ def _drawn_in_a_fork(_):
     return drawn()[0]
 
 
+def _scored():
+    noise = np.random.default_rng(0).uniform(size=(200, 180, 3))
+    return [gs4d.ssim(noise, noise[::-1]), gs4d.ms_ssim(noise, noise[::-1]), gs4d.perceptual_proxy(noise, noise[::-1])]
+
+
+def _scored_in_a_fork(_):
+    return _scored()
+
+
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
 @pytest.mark.filterwarnings("ignore")
-def test_a_forked_process_draws():
+def test_a_forked_process_draws_and_scores():
     """As data loaders do; the threads of the parent are not there."""
-    want = drawn()[0]
+    want, scores = drawn()[0], _scored()
     with multiprocessing.get_context("fork").Pool(1) as pool:
         assert np.array_equal(want, pool.apply_async(_drawn_in_a_fork, (0,)).get(timeout=60))
+        assert scores == pool.apply_async(_scored_in_a_fork, (0,)).get(timeout=60)
 
 
 def test_metrics():

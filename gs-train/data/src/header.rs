@@ -14,7 +14,7 @@ pub(crate) struct ImageHeader {
     pub(crate) width: u32,
     /// Rows.
     pub(crate) height: u32,
-    /// Whether the pixels carry alpha (PNG colour types 4 and 6).
+    /// Whether the pixels carry alpha (PNG colour types 4 and 6, others with a `tRNS` chunk).
     pub(crate) has_alpha: bool,
     /// The file format.
     pub(crate) format: Format,
@@ -32,6 +32,8 @@ pub(crate) enum Format {
 }
 
 const PNG_SIGNATURE: [u8; 8] = [0x89, b'P', b'N', b'G', b'\r', b'\n', 0x1a, b'\n'];
+/// Chunks read before the pixels of a PNG.
+const MAX_PNG_CHUNKS: usize = 1000;
 /// Segments read before a JPEG must have its frame header.
 const MAX_JPEG_SEGMENTS: usize = 1000;
 
@@ -62,7 +64,7 @@ fn ends() -> std::io::Error {
     std::io::ErrorKind::UnexpectedEof.into()
 }
 
-fn png(r: &mut impl Read) -> std::io::Result<ImageHeader> {
+fn png(r: &mut (impl Read + Seek)) -> std::io::Result<ImageHeader> {
     let mut ihdr = [0u8; 18];
     r.read_exact(&mut ihdr)?;
     if ihdr[4..8] != *b"IHDR" {
@@ -78,10 +80,28 @@ fn png(r: &mut impl Read) -> std::io::Result<ImageHeader> {
     Ok(ImageHeader {
         width: word(8),
         height: word(12),
-        has_alpha: colour & 4 != 0,
+        has_alpha: colour & 4 != 0 || names_transparent(r),
         format: Format::Png,
         bytes_per_pixel: (channels * if depth == 16 { 2 } else { 1 }).max(4),
     })
+}
+
+/// Whether a `tRNS` chunk comes before the pixels, from within `IHDR` on: a file that ends has none.
+fn names_transparent(r: &mut (impl Read + Seek)) -> bool {
+    // Three bytes of `IHDR` and its checksum.
+    let mut skip = 7i64;
+    for _ in 0..MAX_PNG_CHUNKS {
+        let mut chunk = [0u8; 8];
+        if r.seek_relative(skip).is_err() || r.read_exact(&mut chunk).is_err() {
+            return false;
+        }
+        match &chunk[4..] {
+            b"tRNS" => return true,
+            b"IDAT" => return false,
+            _ => skip = i64::from(u32::from_be_bytes([chunk[0], chunk[1], chunk[2], chunk[3]])) + 4,
+        }
+    }
+    false
 }
 
 fn jpeg(r: &mut (impl Read + Seek)) -> std::io::Result<ImageHeader> {

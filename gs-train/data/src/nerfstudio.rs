@@ -285,7 +285,7 @@ fn drafts(
         frame.depth.as_ref().map_or(Ok(()), DepthMap::check)?;
         (view.lens, view.depth) = (lens, frame.depth);
         if let Some(file) = frame.mask {
-            mask::check(&file, [header.width, header.height])?;
+            mask::check(&file, [view.camera.width, view.camera.height])?;
             view.mask = Some(ImageSource::File(file));
         }
         drafts.push(Draft { view, stated: frame.time, place: frame.time_place });

@@ -11,7 +11,7 @@ use crate::SynthData;
 use crate::save::{save_json, save_png};
 use glam::{DQuat, DVec3};
 use gs_core::{Camera, Rng, cast};
-use gs_data::{DataError, ImageSource, ImageU8, View};
+use gs_data::{DataError, ImageSource, ImageU8, View, moments};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::path::Path;
@@ -133,7 +133,8 @@ pub fn blur_training_views(dir: &Path, data: &mut SynthData, exposure: &Exposure
         save_png(&file, &image)?;
         view.image = ImageSource::Memory(std::sync::Arc::new(image));
     }
-    let frames = exposure.length * (data.dataset.train.len().max(2) - 1) as f64;
+    let step = f64::from(moments::median_step(&moments::distinct(&data.dataset.train)));
+    let frames = if step > 0.0 { exposure.length / step } else { 0.0 };
     let about = "training views are means over the exposure; validation and test views are sharp";
     let json = serde_json::json!({"about": about, "exposure": exposure, "frames": frames});
     save_json(&dir.join("exposure.json"), &json)

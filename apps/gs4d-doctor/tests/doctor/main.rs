@@ -323,7 +323,7 @@ fn real_captures_are_sound() {
     for name in
         ["dnerf_mutant_400", "fox_270x480", "neu3d_flame_steak_5view_llff_colmap", "panoptic_basketball_f040-069"]
     {
-        let Some(dir) = gs_core::testkit::shared(&format!("data/{name}")) else { return };
+        let Some(dir) = gs_core::testkit::shared(&format!("data/{name}")) else { continue };
         let checkup = examine(&dir, &CheckOptions::default());
         let problems: Vec<_> = checkup.findings.iter().filter(|f| f.verdict == Verdict::Problem).collect();
         assert!(problems.is_empty(), "{name}: {problems:?}");

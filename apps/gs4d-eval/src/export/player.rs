@@ -126,6 +126,7 @@ pub fn evaluate_played(
     (dataset, split): (&Dataset, Split),
     scoring: &Scoring<'_>,
 ) -> Result<EvalReport, EvalError> {
+    let scoring = &Scoring { plain: true, ..*scoring };
     evaluate_splats(method, &|at: &Timestamp, _: &Camera| played(at.t.normalised), dataset, split, scoring)
 }
 

@@ -219,6 +219,7 @@ class SplatRenderer {
     const clip = this.clip, { time, words } = key;
     if (words.length !== 8 * clip.count) throw new RangeError(`a key of ${clip.count} splats has ${8 * clip.count} words, not ${words.length}`);
     for (let w = 7; w < words.length && !clip.bent; w += 8) clip.bent = ((words[w] >>> 16) & 255) !== words[w] >>> 24;
+    for (const old of clip.keys) if (old.time === time) this.release(old);
     clip.keys = clip.keys.filter((k) => k.time !== time).concat(key).sort((a, b) => a.time - b.time);
     this.version++;
     this.sorter.postMessage({ time, words });
@@ -253,6 +254,12 @@ class SplatRenderer {
     if (rows) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, texels * splatRow, rows, gl.RGBA_INTEGER, gl.UNSIGNED_INT, words);
     if (rest) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, rows, texels * rest, 1, gl.RGBA_INTEGER, gl.UNSIGNED_INT, words, 4 * texels * splatRow * rows);
     return texture;
+  }
+  // Frees the texture of a key.
+  release(key) {
+    const texture = this.keys.get(key);
+    if (texture) this.gl.deleteTexture(texture);
+    this.keys.delete(key);
   }
   // The texture of a key.
   uploaded(key) {

@@ -5,7 +5,7 @@ let saving = null;
 function save() { saving ??= setTimeout(() => { saving = null; keep(); }, 300); }
 function keep() {
   const short = (list) => list.map((v) => +v.toFixed(5));
-  const now = { e: short(state.eye), g: short(state.target), u: short(state.up), f: +state.fov.toFixed(4), t: +state.t.toFixed(4), v: state.view, a: state.a, b: state.b, c: state.compare, w: state.cut, n: state.gain, s: state.cameras, r: state.arrows, x: state.axes, l: state.grid, d: state.style, z: state.size, k: state.back, h: state.hidden, p: state.pose };
+  const now = { e: short(state.eye), g: short(state.target), u: short(state.up), f: +state.fov.toFixed(4), t: state.t, v: state.view, a: state.a, b: state.b, c: state.compare, w: state.cut, n: state.gain, s: state.cameras, r: state.arrows, x: state.axes, l: state.grid, d: state.style, z: state.size, k: state.back, h: state.hidden, p: state.pose };
   history.replaceState(null, "", location.search + "#" + encodeURIComponent(JSON.stringify(now)));
 }
 function restore() {

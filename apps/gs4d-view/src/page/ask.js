@@ -70,7 +70,7 @@ function send(what, question) {
   busy = { id: next++, sent: performance.now(), heard: performance.now(), version, ...what };
   socket.send(JSON.stringify({ id: busy.id, ...question }));
 }
-function changed() { moving = performance.now(); save(); again(); }
+function changed() { moving = performance.now(); sides.a.pick = null; save(); again(); }
 function again() {
   version++;
   lines();

@@ -34,7 +34,9 @@ stage.addEventListener("pointerup", (e) => {
     const at = shareAt(e.clientX, e.clientY);
     if (at.every((v) => v >= 0 && v < 1)) pickAt(at);
   }
-  drag = pointers.size ? { ...drag, far: 100 } : null;
+  // The finger that stays goes on from where it is.
+  const [rest] = pointers.values();
+  drag = rest ? { ...drag, x: rest[0], y: rest[1], far: 100 } : null;
 });
 stage.addEventListener("pointercancel", (e) => { pointers.delete(e.pointerId); drag = null; $("box").hidden = true; });
 stage.addEventListener("contextmenu", (e) => e.preventDefault());

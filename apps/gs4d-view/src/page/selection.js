@@ -1,6 +1,7 @@
 "use strict";
 // Picked splats, a box of splats, and a person's pose.
-function pickAt(at) { $("selecting").open = true; version++; sides.a.pick = at; sides.a.is = Math.min(sides.a.is, COARSE); }
+// What is picked is what is seen: the scene stops for it.
+function pickAt(at) { if (playing) play(false); $("selecting").open = true; version++; sides.a.pick = at; sides.a.is = Math.min(sides.a.is, COARSE); }
 function picked(p) {
   const table = document.createElement("table"), row = (cells, tag) => { const r = table.insertRow(); for (const c of cells) { const d = document.createElement(tag); d.textContent = c; r.append(d); } };
   const names = p.splats.length ? Object.keys(p.splats[0].quantities) : [];

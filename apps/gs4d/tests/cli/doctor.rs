@@ -196,7 +196,7 @@ fn points_are_made_once_and_then_begun_with() {
     let resolved = || std::fs::read_to_string(run.join("config.resolved.toml")).unwrap();
     assert!(points(&resolved()).starts_with("90 ") && resolved().contains("scene.toml"), "{}", resolved());
     // The same call goes on with it.
-    let on = |more: &[&str]| gs4d(&[&train[..7], &["--steps", "2", "--continue", "-o", text(&run)], more].concat());
+    let on = |more: &[&str]| gs4d(&[&train[..6], &["--steps", "2", "--continue", "-o", text(&run)], more].concat());
     assert_eq!(on(&[]).code, 0);
     on(&["--set", "init.points=80"]).fails(6, &["other settings"]);
     let fewer = good(&[&train[..], &["--set", "schedule.density.max_splats=60"]].concat()).err;

@@ -158,7 +158,7 @@ impl<'a> Shots<'a> {
             let written = format!("masks/{:03}/{number:06}.png", camera.id);
             let file = self.root.resolve(&written, &Place::new(self.root.dir(), written.as_str()))?;
             if file.is_file() {
-                mask::check(&file, [header.width, header.height])?;
+                mask::check(&file, [view.camera.width, view.camera.height])?;
                 view.mask = Some(ImageSource::File(file));
                 self.masked += 1;
             } else if camera.role == Role::Cond {

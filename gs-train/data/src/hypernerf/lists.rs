@@ -38,8 +38,10 @@ impl Lists {
             (frame_names(&splits[0])?, frame_names(&splits[1])?)
         } else if val.is_empty() {
             notes.push("val_ids is empty: of ids every 4th trains, those half-way between are held out".into());
-            let every_fourth = |start| all.iter().skip(start).step_by(4).cloned().collect::<Vec<_>>();
-            (every_fourth(0), every_fourth(2))
+            // One is held out only between two that train, as 4DGaussians does.
+            let every_fourth =
+                |start: usize, end: usize| all.iter().take(end).skip(start).step_by(4).cloned().collect();
+            (every_fourth(0, all.len()), every_fourth(2, all.len().saturating_sub(2)))
         } else {
             (train, val)
         };

@@ -19,7 +19,8 @@
 //!
 //! # Splits and times
 //! `splits/` gives the split where it exists. Else, where `val_ids` is not empty (`vrig` and DyCheck captures), `train_ids` train and
-//! `val_ids` are held out; else (`interp` captures) of `ids` numbers 0, 4, 8, … train and 2, 6, 10, … are held out.
+//! `val_ids` are held out; else (`interp` captures) of `ids` numbers 0, 4, 8, … train and 2, 6, 10, … are held out, as far as one
+//! that trains follows.
 //! `t = time_id / max(time_id)` over all ids; the clock counts ids, or seconds where `data.fps` or `extra.json` gives a rate.
 //!
 //! Alpha, which DyCheck uses for pixels without depth, is ignored.

@@ -197,19 +197,6 @@ fn wrong_options_are_named() {
     assert!(synth::generate("bals", &small()).unwrap_err().to_string().contains("balls, sheet, static, waves, reach"));
 }
 
-#[test]
-fn rendering_is_quick() {
-    let data = synth::generate("balls", &SynthOptions { size: 8, ..small() }).unwrap();
-    let camera = data.dataset.train[0].camera.scaled(25.0);
-    let start = std::time::Instant::now();
-    for k in 0..10 {
-        data.truth.picture(&camera, f64::from(k) / 10.0);
-    }
-    let ms = start.elapsed().as_secs_f64() * 100.0;
-    println!("200x200, 3x3 samples: {ms:.1} ms per view");
-    assert!(ms < 500.0, "{ms} ms");
-}
-
 /// Residual of the best `a + b cos 2πft + c sin 2πft` through evenly spaced values, as a part of their variance.
 fn residual(values: &[f64], cycles: f64) -> f64 {
     let n = values.len();

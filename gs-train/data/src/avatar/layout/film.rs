@@ -117,6 +117,11 @@ impl Film {
             return Err(DataError::Option { name, value, rule });
         }
         let fps = options.fps.unwrap_or(self.fps);
+        if let Some(shift) = &options.time_shift {
+            let rule =
+                "images of a film belong to frames by their numbers: renumber those of a camera that is late".into();
+            return Err(DataError::Option { name: "data.time_shift", value: shift.to_string(), rule });
+        }
         if !(fps > 0.0 && fps.is_finite()) {
             let rule = "above 0: frames per second".into();
             return Err(DataError::Option { name: "data.fps", value: fps.to_string(), rule });
