@@ -134,7 +134,7 @@ pub fn blur_training_views(dir: &Path, data: &mut SynthData, exposure: &Exposure
         view.image = ImageSource::Memory(std::sync::Arc::new(image));
     }
     let step = f64::from(moments::median_step(&moments::distinct(&data.dataset.train)));
-    let frames = if step > 0.0 { exposure.length / step } else { 0.0 };
+    let frames = if step > 0.0 { exposure.length * (1.0 / step).round() } else { 0.0 };
     let about = "training views are means over the exposure; validation and test views are sharp";
     let json = serde_json::json!({"about": about, "exposure": exposure, "frames": frames});
     save_json(&dir.join("exposure.json"), &json)
