@@ -189,7 +189,7 @@ mod tests {
     fn a_table_shows_its_figures_and_what_stands_for_them() {
         let text = published(&Table::find("fags", "dnerf").unwrap());
         assert!(
-            text.lines().any(|l| l.starts_with("mutant") && l.contains("acutance") && l.contains("38.95")),
+            text.lines().any(|l| l.starts_with("mutant") && l.contains("Grid4D + DRK  –") && l.contains("38.95")),
             "{text}"
         );
         assert!(text.contains("copying errors"), "{text}");

@@ -298,7 +298,7 @@ mod tests {
         };
         assert_eq!(entries("Grid4D").unwrap().table.entries.len(), 1);
         let other = entries("SC-GS").unwrap_err().to_string();
-        assert!(other.contains("`SC-GS`") && other.contains("Grid4D + DRK"), "{other}");
+        assert!(other.contains("`SC-GS`") && other.contains("FAGS, Grid4D, 4D-GS"), "{other}");
         let unknown = of("tyrannosaur").unwrap_err().to_string();
         assert!(unknown.contains("trex") && unknown.contains("sheet-a"), "{unknown}");
     }
@@ -320,7 +320,7 @@ mod tests {
         let published = labels(None, Length::Recipe);
         let with_recipe = |label: &str| label.contains("field.bound=0.8 ") && label.contains("warm_up.steps=0 ");
         assert!(
-            with_recipe(&published[0]) && with_recipe(&published[1]) && published[2] == "fourdgs:neu3d",
+            with_recipe(&published[0]) && with_recipe(&published[1]) && published[2] == "fourdgs:hypernerf",
             "{published:?}"
         );
         for labels in [labels(Some("fast"), Length::Recipe), labels(None, Length::Steps(100))] {
