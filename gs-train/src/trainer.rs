@@ -281,7 +281,8 @@ impl Trainer {
             return Err(TrainError::Finished(self.steps()));
         }
         self.begin_step(step)?;
-        let (learnt, refused) = match self.step_on_device(step)? {
+        let mut log = Vec::new();
+        let (learnt, refused) = match self.step_on_device(step, &mut log)? {
             Some(done) => done,
             None => {
                 self.leave_device()?;
@@ -313,7 +314,7 @@ impl Trainer {
             splats: self.model.splat_count(),
             quarantined: refused_in_views.max(refused.rows),
             adapted: events.densified,
-            events: events.log,
+            events: log.into_iter().chain(events.log).collect(),
             ms,
             sent_bytes: self.ranks.take_sent(),
         })

@@ -91,6 +91,7 @@ fn main() {
         case(&gpu, &format!("syn100k {name}"), &Splats { kernel, ..scene(100_000, 3) }, 800);
     }
     match Gpu::open_with(&GpuOptions { float_atomics: true, ..GpuOptions::default() }) {
+        Ok(gpu) if !gpu.float_atomics() => println!("float atomics: {} has none", gpu.name()),
         Ok(gpu) => print_phases(&gpu, "syn100k by float atomics", &scene(100_000, 3), 800),
         Err(e) => println!("float atomics: {e}"),
     }

@@ -12,7 +12,7 @@ use gs_core::{Camera, SplatsGrad, SplatsRef};
 use gs_raster::{CameraGrad, FrameGrad, RasterOptions, ScreenStats};
 
 /// Bytes of a record: twelve sums.
-const RECORD: u64 = 48;
+pub(crate) const RECORD: u64 = 48;
 /// Bytes of a splat's gradients, and of what a workgroup sums of the camera's: sixteen numbers.
 const ROW: u64 = 64;
 /// Splats of one workgroup.
@@ -55,6 +55,9 @@ impl Renderer {
     ///
     /// # Errors
     /// There was no such frame, something does not fit the device, or it failed.
+    ///
+    /// # Panics
+    /// If a column of `d` is neither empty nor of the size of the frame.
     pub fn render_backward_into<'a>(
         &mut self,
         splats: impl Into<SplatsRef<'a>>,
@@ -131,7 +134,9 @@ impl Renderer {
         let (gpu, b) = (&self.gpu, &mut self.backward);
         b.d_frame.resize(gpu, 5 * bytes_of_a_plane(view))?;
         let n = u64::from(view.splats());
-        b.records.resize(gpu, RECORD * u64::from(view.entries()))?;
+        if !gpu.float_atomics() {
+            b.records.resize(gpu, RECORD * u64::from(view.entries()))?;
+        }
         b.sums.resize(gpu, RECORD * n)?;
         b.grads.resize(gpu, ROW * n)?;
         b.camera.resize(gpu, ROW * n.div_ceil(SMALL_GROUP))?;

@@ -18,6 +18,7 @@ pub struct Gpu {
 }
 
 struct Inner {
+    instance: wgpu::Instance,
     device: wgpu::Device,
     queue: wgpu::Queue,
     info: wgpu::AdapterInfo,
@@ -100,10 +101,15 @@ impl Gpu {
             ..wgpu::DeviceDescriptor::default()
         }))
         .map_err(|e| GpuError::NoDevice { adapter: info.name.clone(), why: e.to_string() })?;
-        Ok(Self::from_device(device, queue, info))
+        Ok(Self::from_device(instance, device, queue, info))
     }
 
-    fn from_device(device: wgpu::Device, queue: wgpu::Queue, info: wgpu::AdapterInfo) -> Self {
+    fn from_device(
+        instance: wgpu::Instance,
+        device: wgpu::Device,
+        queue: wgpu::Queue,
+        info: wgpu::AdapterInfo,
+    ) -> Self {
         let faults = Arc::new(Faults::default());
         let (errors, losses) = (Arc::clone(&faults), Arc::clone(&faults));
         device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| {
@@ -121,6 +127,7 @@ impl Gpu {
         let float_atomics = device.features().contains(wgpu::Features::SHADER_FLOAT32_ATOMIC);
         Self {
             inner: Arc::new(Inner {
+                instance,
                 device,
                 queue,
                 info,
@@ -171,17 +178,19 @@ impl Gpu {
             .get_or_init(|| Kernels::new(self.device(), with_profile, native, self.float_atomics()))
     }
 
-    /// Whether gradients are added by float atomics.
-    pub(crate) fn float_atomics(&self) -> bool {
+    /// Whether gradients are added by float atomics, which [`GpuOptions::float_atomics`] asks for and not every adapter has.
+    pub fn float_atomics(&self) -> bool {
         self.inner.float_atomics
     }
 
-    /// Looks for a fault since the last look.
+    /// Looks for a fault since the last look. Callers that share a device share its faults: one may find that of another.
     ///
     /// # Errors
-    /// The first fault.
+    /// The first fault; where the device was lost, always that.
     pub fn check(&self) -> Result<(), GpuError> {
-        let fault = self.inner.faults.first.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let mut first = self.inner.faults.first.lock().unwrap_or_else(PoisonError::into_inner);
+        // A lost device stays lost.
+        let fault = if matches!(*first, Some(Fault::Lost(_))) { first.clone() } else { first.take() };
         let adapter = self.inner.info.name.clone();
         match fault {
             None => Ok(()),
@@ -193,10 +202,8 @@ impl Gpu {
 
     /// Waits until everything submitted is done.
     pub(crate) fn wait(&self) -> Result<(), GpuError> {
-        let adapter = || self.inner.info.name.clone();
-        self.device()
-            .poll(wgpu::PollType::wait_indefinitely())
-            .map_err(|e| GpuError::Lost { adapter: adapter(), why: e.to_string() })?;
+        // `Device::poll` panics where the device is lost; this one tells the callback. The instance has no other device.
+        self.inner.instance.poll_all(true);
         self.check()
     }
 }

@@ -11,7 +11,7 @@ pub enum GpuError {
         why: String,
     },
     /// The adapter refused to open a device.
-    #[error("the GPU {adapter} cannot be opened: {why}")]
+    #[error("the GPU {adapter} cannot be opened: {why}; update its driver, or render on the CPU")]
     NoDevice {
         /// Name of the adapter.
         adapter: String,
@@ -47,7 +47,7 @@ pub enum GpuError {
         why: String,
     },
     /// The driver rejected a command: a fault of this crate or of the driver.
-    #[error("the GPU {adapter} rejected a command: {why}")]
+    #[error("the GPU {adapter} rejected a command: {why}; please report it, and render on the CPU meanwhile")]
     Rejected {
         /// Name of the adapter.
         adapter: String,

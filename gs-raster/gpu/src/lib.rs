@@ -24,7 +24,7 @@
 //! Two frames of the same splats, camera and options are the same bits on the same adapter and driver
 //! ([`Gpu::description`]), and so are their gradients: there are no float atomics, no atomic compaction, and no sum whose
 //! order depends on the width of a subgroup. WGSL leaves the rounding of some functions to the device, so between devices,
-//! and between GPU and CPU, only a tolerance holds: the table of gs-raster's `tests/production.rs`, which the tests of this
+//! and between GPU and CPU, only a tolerance holds: the table of gs-raster's `tests/raster/production.rs`, which the tests of this
 //! crate apply to the same scenes.
 //!
 //! # Accuracy
@@ -44,9 +44,10 @@
 //! All kernels keep to WebGPU's default limits: 8 storage buffers, 16 KiB of workgroup memory, 256 threads.
 //!
 //! # What it leaves out
-//! More than three channels, and what [`gs_raster`] leaves out. A frame with more (tile, splat) pairs
-//! than one buffer holds is refused: 2.8 million with the limits of a browser, 40 million and more with those of a graphics
-//! card. Splats wider than about 10⁹ pixels are not drawn.
+//! More than three channels, and what [`gs_raster`] leaves out. A frame whose (tile, splat) pairs do not fit one buffer is refused: its gradient
+//! takes 48 bytes of each, so 2.8 million fit the limits of a browser and 40 million and more those of a graphics card; the frame alone takes 4.
+//! Splats wider than about 10⁹ pixels are not drawn. `RasterOptions::box_sigmas` cuts tiles of 16×16 pixels here, blocks of 4×4 on the CPU. A radius in
+//! `ScreenStats` is above 0 where the splat touches a tile; on the CPU only where some of its tiles were not yet opaque when its turn came.
 
 #![warn(unreachable_pub)]
 #![warn(clippy::allow_attributes_without_reason)]

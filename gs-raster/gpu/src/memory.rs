@@ -21,6 +21,22 @@ impl Array {
         Self { what, buffer: storage(gpu, what, LEAST), bytes: LEAST }
     }
 
+    /// An array of these values, whose bytes are a multiple of 4, and no larger.
+    ///
+    /// # Errors
+    /// As [`Array::resize`].
+    pub fn of<T: bytemuck::NoUninit>(gpu: &Gpu, what: &'static str, values: &[T]) -> Result<Self, GpuError> {
+        let bytes: &[u8] = bytemuck::cast_slice(values);
+        let (size, allowed) = ((bytes.len() as u64).max(LEAST).next_multiple_of(4), gpu.largest_array());
+        if size > allowed {
+            return Err(too_large(gpu, what, size, allowed));
+        }
+        let array = Self { what, buffer: storage(gpu, what, size), bytes: size };
+        gpu.check()?;
+        gpu.queue().write_buffer(&array.buffer, 0, bytes);
+        Ok(array)
+    }
+
     /// Gives the array a length of `bytes`; what it held is lost where it has to grow.
     ///
     /// # Errors
@@ -33,8 +49,7 @@ impl Array {
         }
         let allowed = gpu.largest_array();
         if bytes > allowed {
-            let (need, allowed) = (bytes.div_ceil(1 << 20), allowed >> 20);
-            return Err(GpuError::TooLarge { what: self.what, need, allowed, adapter: gpu.name().to_owned() });
+            return Err(too_large(gpu, self.what, bytes, allowed));
         }
         // A quarter more, so that a scene that grows does not allocate at every step.
         let size = (bytes + bytes / 4).next_multiple_of(LEAST).min(allowed);
@@ -56,8 +71,12 @@ impl Array {
         Ok(())
     }
 
-    /// Writes values at an offset in bytes; none stand for `bytes` of zeros.
+    /// Writes values of `bytes` at an offset in bytes; none stand for zeros.
+    ///
+    /// # Panics
+    /// If there are some, and not so many.
     pub(crate) fn write_or_zero(&self, gpu: &Gpu, offset: u64, bytes: u64, values: &[f32]) {
+        assert!(values.is_empty() || size_of_val(values) as u64 == bytes, "cotangents of another size than the frame");
         match values {
             [] => gpu.queue().write_buffer(&self.buffer, offset, &vec![0; usize::try_from(bytes).unwrap_or(0)]),
             values => gpu.queue().write_buffer(&self.buffer, offset, bytemuck::cast_slice(values)),
@@ -84,6 +103,11 @@ impl Array {
         let size = std::num::NonZeroU64::new(bytes);
         wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: &self.buffer, offset, size })
     }
+}
+
+fn too_large(gpu: &Gpu, what: &'static str, bytes: u64, allowed: u64) -> GpuError {
+    let (need, allowed) = (bytes.div_ceil(1 << 20), allowed >> 20);
+    GpuError::TooLarge { what, need, allowed, adapter: gpu.name().to_owned() }
 }
 
 fn storage(gpu: &Gpu, what: &'static str, size: u64) -> wgpu::Buffer {
@@ -148,7 +172,12 @@ impl Readback {
             return Ok(buffer);
         }
         let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
-        let size = bytes + bytes / 4 / 4 * 4;
+        let allowed = gpu.device().limits().max_buffer_size;
+        if bytes > allowed {
+            return Err(too_large(gpu, "readback", bytes, allowed));
+        }
+        // A quarter more where that fits, as arrays have.
+        let size = (bytes + bytes / 4 / 4 * 4).min(allowed / 4 * 4);
         let desc = wgpu::BufferDescriptor { label: Some("readback"), size, usage, mapped_at_creation: false };
         let buffer = gpu.device().create_buffer(&desc);
         gpu.check()?;

@@ -40,7 +40,8 @@ pub(crate) fn exp2_error(gpu: &Gpu) -> Option<f64> {
     let measure = |_, bytes: &[u8]| {
         let y: Vec<f32> = bytemuck::pod_collect_to_vec(bytes);
         let errors = x.iter().zip(y).map(|(&x, y)| (f64::from(y) / f64::from(x).exp2() - 1.0).abs());
-        worst = errors.fold(0.0, f64::max);
+        // What is no number is the largest error.
+        worst = errors.fold(0.0, |worst, e| if e <= worst || worst.is_nan() { worst } else { e });
     };
     Readback::default().submit(gpu, encoder, &[&output], measure).ok()?;
     Some(worst)

@@ -1,6 +1,6 @@
 //! A frame and its gradient on the device.
 
-use crate::backward::Backward;
+use crate::backward::{Backward, RECORD};
 use crate::device::Gpu;
 use crate::error::GpuError;
 use crate::kernels::{Kernels, projected_stride};
@@ -126,10 +126,11 @@ impl Renderer {
             let view = View::new(Shape::of(splats), camera, options, entries);
             let total = self.attempt(&view, with_profile, frame)?;
             if total <= entries {
-                self.last = Some((view, with_profile));
+                // Gradients need a record for each pair that there is, not for each that fits.
+                self.last = Some((view.holding(total), with_profile));
                 return Ok(());
             }
-            entries = with_reserve(total);
+            entries = self.with_reserve(total);
         }
     }
 
@@ -157,7 +158,17 @@ impl Renderer {
     /// Entries that a frame of so many splats has room for.
     pub(crate) fn room(&self, splats: u32) -> u32 {
         let held = u32::try_from(self.work.entry_tiles.bytes() / 4).unwrap_or(u32::MAX);
-        held.max(FIRST_ENTRIES.saturating_mul(splats)).max(LEAST_ENTRIES)
+        held.max(FIRST_ENTRIES.saturating_mul(splats).min(self.most_entries())).max(LEAST_ENTRIES)
+    }
+
+    /// Entries to make room for, where a frame had `total`. A reserve is no reason to refuse what fits.
+    pub(crate) fn with_reserve(&self, total: u32) -> u32 {
+        total.saturating_add(total / 8).min(self.most_entries().max(total))
+    }
+
+    /// Entries of which the gradient fits the device.
+    fn most_entries(&self) -> u32 {
+        u32::try_from(self.gpu.largest_array() / RECORD).unwrap_or(u32::MAX)
     }
 
     /// The passes of a frame of the splats in the columns.
@@ -168,6 +179,8 @@ impl Renderer {
         with_profile: bool,
     ) -> Result<(), GpuError> {
         let gpu = &self.gpu;
+        // A fault of what was done before must not be taken for one of the kernels.
+        gpu.check()?;
         let kernels = gpu.kernels(with_profile);
         self.work.resize(gpu, view, with_profile)?;
         self.work.counting.upload(gpu, &[*view])?;
@@ -196,11 +209,6 @@ impl Renderer {
             Color::Sh { coeffs, .. } => c.colors.upload(gpu, coeffs),
         }
     }
-}
-
-/// Entries to make room for, where a frame had `total`.
-pub(crate) fn with_reserve(total: u32) -> u32 {
-    total.saturating_add(total / 8)
 }
 
 /// A frame of no splats.

@@ -2,7 +2,7 @@
 
 use crate::error::GpuError;
 use crate::memory::Array;
-use crate::renderer::{Renderer, with_reserve};
+use crate::renderer::Renderer;
 use crate::view::View;
 use gs_core::{Camera, Color, SplatsRef, cast};
 use gs_raster::RasterOptions;
@@ -123,7 +123,7 @@ impl Renderer {
         FrameArrays { rgb: &w.rgb, totals: &w.sums, d_frame: &b.d_frame, grads: &b.grads, d_colors: &b.d_colors }
     }
 
-    /// Number of (tile, splat) pairs that the last frame had room for.
+    /// Number of (tile, splat) pairs that the last frame of [`Renderer::encode_frame`] had room for.
     pub fn entries(&self) -> u32 {
         self.last.map_or(0, |(view, _)| view.entries())
     }
@@ -133,6 +133,7 @@ impl Renderer {
     /// # Errors
     /// They do not fit the device.
     pub fn make_room_for_entries(&mut self, total: u32) -> Result<(), GpuError> {
-        self.work.entry_tiles.resize(&self.gpu, 4 * u64::from(with_reserve(total)))
+        let entries = self.with_reserve(total);
+        self.work.entry_tiles.resize(&self.gpu, 4 * u64::from(entries))
     }
 }

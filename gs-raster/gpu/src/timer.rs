@@ -64,7 +64,7 @@ impl Renderer {
         self.timer.queries = Some(Queries { set, resolved, copied: Array::new(gpu, "timestamps"), names: Vec::new() });
     }
 
-    /// Phases since the last call and their time on the device, ms; empty where [`Renderer::time_phases`] was not called
+    /// Phases since the last call, the first sixteen, and their time on the device, ms; empty where [`Renderer::time_phases`] was not called
     /// or the device has no clock.
     ///
     /// # Errors

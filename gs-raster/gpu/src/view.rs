@@ -116,6 +116,12 @@ impl View {
         [self.sizes[0], self.sizes[1]]
     }
 
+    /// The same view of a frame that has so many entries.
+    pub(crate) fn holding(mut self, entries: u32) -> Self {
+        self.counts[1] = entries;
+        self
+    }
+
     /// Whether the splats and the image have the same shape as those of another frame.
     pub(crate) fn same_shape(&self, other: &Self) -> bool {
         let shape = |v: &Self| (v.sizes, v.counts[0], v.counts[2], v.flags[2]);
@@ -135,7 +141,7 @@ fn jacobian_limits(camera: &Camera) -> [f64; 4] {
 
 /// Constants of the kernel profiles, one row each, as `shaders/profile.wgsl` takes them.
 pub(crate) fn profiles(splats: SplatsRef<'_>, options: &RasterOptions) -> Vec<[f32; 4]> {
-    let cut = (options.kernel_cut * LOG2_SCALE_SQUARED) as f32;
+    let cut = (options.kernel_cut * LOG2_SCALE_SQUARED).min(ENDLESS) as f32;
     let row = |i| {
         let Some(p) = splats.kernel.bend(i) else { return [0.0; 4] };
         let kappa = if p.is_clamped() { -1.0 } else { p.kappa };

@@ -54,6 +54,15 @@ impl<'a> Known<'a> {
         }
     }
 
+    /// Bytes of the largest array that the field of so many splats takes.
+    pub(crate) fn largest_array(self, splats: usize) -> u64 {
+        let most = match self {
+            Known::Planes(field) => plane_field::largest_array(field, splats),
+            Known::Network(field) => network_field::largest_array(field, splats),
+        };
+        4 * most.max(splats * OFFSETS) as u64
+    }
+
     /// What of the field the device cannot compute, in words.
     pub(crate) fn lacks(self) -> Option<String> {
         let rule = self.rule();

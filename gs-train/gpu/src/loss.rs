@@ -30,6 +30,11 @@ pub(crate) struct ImageLoss {
     pub partials: Array,
 }
 
+/// Bytes of the largest array of the loss of a view.
+pub(crate) fn largest_array(camera: &Camera) -> u64 {
+    4 * 9 * u64::from(camera.width) * u64::from(camera.height)
+}
+
 /// The loss of a view.
 pub(crate) struct View<'a> {
     pub camera: &'a Camera,
@@ -64,9 +69,8 @@ impl ImageLoss {
     }
 
     pub(crate) fn resize(&mut self, gpu: &Gpu, view: &View<'_>) -> Result<(), GpuError> {
-        let pixels = u64::from(view.camera.width) * u64::from(view.camera.height);
         let [columns, rows] = view.tiles().map(u64::from);
-        self.maps.resize(gpu, 4 * 9 * pixels)?;
+        self.maps.resize(gpu, largest_array(view.camera))?;
         self.partials.resize(gpu, 16 * u64::from(CHANNELS) * columns * rows)
     }
 

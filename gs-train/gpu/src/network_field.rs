@@ -27,9 +27,10 @@ pub(crate) struct NetworkField {
     config: DefGsConfig,
     rows: usize,
     position: Array,
-    /// Outputs of the layers, and their gradients.
+    /// Outputs of the layers.
     hidden: Vec<Array>,
-    d_hidden: Vec<Array>,
+    /// Gradients of two layers at a time: those of layer i lie in i mod 2.
+    d_hidden: [Array; 2],
     /// Biases of the layers with what time gives them.
     biases: Vec<Array>,
     /// Encoded time, and what the time network makes of it; its hidden units.
@@ -46,6 +47,20 @@ pub(crate) fn lacks(field: &DefMlp) -> Option<String> {
     (field.config().depth > MOST_LAYERS).then(|| format!("the network has more than {MOST_LAYERS} layers"))
 }
 
+/// Numbers of the largest array that the field of so many splats takes.
+pub(crate) fn largest_array(field: &DefMlp, rows: usize) -> usize {
+    let config = field.config();
+    (rows * config.width.max(encoding::width(AXES, config.bands_position))).max(parts(config, rows))
+}
+
+/// Numbers that gradients of weights take before they are summed.
+fn parts(config: &DefGsConfig, rows: usize) -> usize {
+    let [position, time] = [encoding::width(AXES, config.bands_position), encoding::width(1, config.bands_time)];
+    let features = if config.time_hidden > 0 { config.time_features } else { time };
+    let widest = position.max(config.width).max(features).max(time).max(config.time_hidden);
+    parts_len(rows, widest, config.width.max(OFFSETS)).max(parts_len(1, widest, widest))
+}
+
 impl NetworkField {
     pub(crate) fn new(gpu: &Gpu) -> Self {
         let array = |what| Array::new(gpu, what);
@@ -54,7 +69,7 @@ impl NetworkField {
             rows: 0,
             position: array("encoded places"),
             hidden: Vec::new(),
-            d_hidden: Vec::new(),
+            d_hidden: [(); 2].map(|()| array("gradients of activations")),
             biases: Vec::new(),
             time: array("encoded time"),
             time_hidden: array("hidden units of time"),
@@ -71,9 +86,10 @@ impl NetworkField {
         let bytes = |values: usize| 4 * values as u64;
         let (width, depth) = (self.config.width, self.config.depth);
         self.position.resize(gpu, bytes(rows * self.position_width()))?;
-        for arrays in [&mut self.hidden, &mut self.d_hidden] {
-            arrays.resize_with(depth, || Array::new(gpu, "activations"));
-            arrays.iter_mut().try_for_each(|a| a.resize(gpu, bytes(rows * width)))?;
+        self.hidden.resize_with(depth, || Array::new(gpu, "activations"));
+        let arrays = self.hidden.iter_mut().chain(&mut self.d_hidden);
+        for array in arrays {
+            array.resize(gpu, bytes(rows * width))?;
         }
         self.biases.resize_with(depth, || Array::new(gpu, "biases"));
         self.biases.iter_mut().try_for_each(|a| a.resize(gpu, bytes(width)))?;
@@ -84,10 +100,7 @@ impl NetworkField {
         for array in [&mut self.time_features, &mut self.d_time_features] {
             array.resize(gpu, bytes(features))?;
         }
-        let widest =
-            self.position_width().max(width).max(features).max(self.encoded_width()).max(self.config.time_hidden);
-        let most = parts_len(rows, widest, width.max(OFFSETS)).max(parts_len(1, widest, widest));
-        self.parts.resize(gpu, bytes(most))
+        self.parts.resize(gpu, bytes(parts(&self.config, rows)))
     }
 
     /// All offsets are there.
@@ -145,14 +158,14 @@ impl NetworkField {
             let layer = Layer::of(store, &format!("field.{name}"), [width, outputs])?;
             let dy = offsets.d_column(first);
             products.backward_weight(&layer, last, dy, true, &self.parts);
-            let dx = Matrix::whole(self.d_hidden.last()?, width);
+            let dx = Matrix::whole(&self.d_hidden[(self.hidden.len() - 1) % 2], width);
             let behind = (k + 1 == HEADS.len()).then_some((last, leak));
             products.backward_input(&layer, (dy, dy.array.binding()), dx, k > 0, behind);
         }
         let position = Matrix::whole(&self.position, self.position_width());
         for i in (0..self.config.depth).rev() {
             let (layer, [place, time, from_hidden]) = (self.layer(store, i)?, self.columns(i));
-            let dy = Matrix::whole(&self.d_hidden[i], width);
+            let dy = Matrix::whole(&self.d_hidden[i % 2], width);
             if !place.is_empty() {
                 products.backward_weight(&layer.columns(&place), position, dy, true, &self.parts);
                 let same = Matrix { array: self.features(), at: 0, stride: 0 };
@@ -160,7 +173,8 @@ impl NetworkField {
             }
             if i > 0 {
                 let layer = layer.columns(&from_hidden);
-                let [x, dx] = [&self.hidden[i - 1], &self.d_hidden[i - 1]].map(|array| Matrix::whole(array, width));
+                let [x, dx] =
+                    [&self.hidden[i - 1], &self.d_hidden[(i - 1) % 2]].map(|array| Matrix::whole(array, width));
                 products.backward_weight(&layer, x, dy, place.is_empty(), &self.parts);
                 products.backward_input(&layer, (dy, dy.array.binding()), dx, false, Some((x, leak)));
             }

@@ -46,6 +46,14 @@ pub(crate) fn lacks(field: &HexPlaneField) -> Option<String> {
     (config.depth > MOST_LAYERS).then(|| format!("the network has more than {MOST_LAYERS} layers"))
 }
 
+/// Numbers of the largest array that the field of so many splats takes.
+pub(crate) fn largest_array(field: &HexPlaneField, rows: usize) -> usize {
+    let shape = Shape::of(field, rows);
+    let layers = shape.layers(field.config().hexplane.channels * field.config().hexplane.levels.len());
+    let of_layer = |(_, inputs, outputs): &(String, usize, usize)| rows * inputs.max(outputs);
+    layers.iter().map(of_layer).max().unwrap_or(0).max(shape.parts(&layers))
+}
+
 impl PlaneField {
     pub(crate) fn new(gpu: &Gpu) -> Self {
         Self {
@@ -65,22 +73,7 @@ impl PlaneField {
         field: &HexPlaneField,
         rows: usize,
     ) -> Result<(), GpuError> {
-        let config = field.config();
-        let all = [
-            ("means", 0, 3, config.move_means),
-            ("scales", 3, 3, config.move_scales),
-            ("quats", 6, 4, config.move_quats),
-        ];
-        let heads = all.into_iter().filter(|head| head.3).map(|(name, at, outputs, _)| (name, at, outputs)).collect();
-        let first = &field.hexplane().plane(0, 0).name;
-        self.shape = Shape {
-            name: first.strip_suffix(".planes.xy.0").unwrap_or(first).to_owned(),
-            width: config.width,
-            depth: config.depth.max(1),
-            heads,
-            rows,
-            points_learn: !config.detach_coordinates,
-        };
+        self.shape = Shape::of(field, rows);
         self.planes.load(gpu, store, field.hexplane(), rows)?;
         let bytes = |values: usize| 4 * values as u64;
         let layers = self.shape.layers(self.planes.width());
@@ -90,9 +83,7 @@ impl PlaneField {
                 array.resize(gpu, bytes(rows * outputs))?;
             }
         }
-        let parts = layers.iter().map(|(_, inputs, outputs)| parts_len(rows, *inputs, *outputs));
-        let most = parts.max().unwrap_or(0).max(parts_len(rows, self.shape.width, OFFSETS));
-        self.parts.resize(gpu, bytes(most))
+        self.parts.resize(gpu, bytes(self.shape.parts(&layers)))
     }
 
     /// Which offsets there are: 1 of means, 2 of scales, 4 of quaternions.
@@ -157,6 +148,31 @@ impl PlaneField {
 }
 
 impl Shape {
+    fn of(field: &HexPlaneField, rows: usize) -> Self {
+        let config = field.config();
+        let all = [
+            ("means", 0, 3, config.move_means),
+            ("scales", 3, 3, config.move_scales),
+            ("quats", 6, 4, config.move_quats),
+        ];
+        let heads = all.into_iter().filter(|head| head.3).map(|(name, at, outputs, _)| (name, at, outputs)).collect();
+        let first = &field.hexplane().plane(0, 0).name;
+        Self {
+            name: first.strip_suffix(".planes.xy.0").unwrap_or(first).to_owned(),
+            width: config.width,
+            depth: config.depth.max(1),
+            heads,
+            rows,
+            points_learn: !config.detach_coordinates,
+        }
+    }
+
+    /// Numbers that gradients of weights take before they are summed.
+    fn parts(&self, layers: &[(String, usize, usize)]) -> usize {
+        let of_layer = |(_, inputs, outputs): &(String, usize, usize)| parts_len(self.rows, *inputs, *outputs);
+        layers.iter().map(of_layer).max().unwrap_or(0).max(parts_len(self.rows, self.width, OFFSETS))
+    }
+
     /// Name, inputs and outputs of the layers before the heads' last ones: the trunk's, and the first of all heads as one.
     fn layers(&self, features: usize) -> Vec<(String, usize, usize)> {
         let inputs = |i: usize| if i == 0 { features } else { self.width };

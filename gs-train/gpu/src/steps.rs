@@ -3,12 +3,12 @@
 use crate::field::{self, Field, Known};
 use crate::images::Images;
 use crate::kernels::Kernels;
-use crate::loss::{ImageLoss, View};
+use crate::loss::{self, ImageLoss, View};
 use crate::pass::At;
-use crate::store::{Store, largest_array};
+use crate::store::{Store, moments};
 use crate::uniforms::Uniforms;
 use gs_core::cast::to_u32;
-use gs_core::sh;
+use gs_core::{Camera, sh};
 use gs_data::ImageU8;
 use gs_gpu::{Array, Gpu, GpuError, Readback, Renderer, Shape, groups};
 use gs_raster::DeviceError;
@@ -303,7 +303,7 @@ fn label(name: &str) -> wgpu::ComputePassDescriptor<'_> {
 }
 
 impl DeviceSteps for Steps {
-    fn lacks(&self, cloud: &MovedCloud<'_>) -> Option<String> {
+    fn lacks(&self, cloud: &MovedCloud<'_>, camera: &Camera) -> Option<String> {
         if cloud.cloud.kernel.is_some() {
             return Some("splats have a kernel of their own".to_owned());
         }
@@ -312,10 +312,15 @@ impl DeviceSteps for Steps {
             return Some("the field is neither that of 4DGS nor that of Deformable 3D Gaussians".to_owned());
         }
         let field = field.flatten();
-        let (need, allowed) = (largest_array(cloud.cloud, field), self.gpu.largest_array());
-        if need > allowed {
+        let largest = [
+            ("Adam's moments", moments(cloud.cloud, field)),
+            ("the field's activations and gradients", field.map_or(0, |field| field.largest_array(cloud.cloud.len()))),
+            ("gradients of SSIM", loss::largest_array(camera)),
+        ];
+        let allowed = self.gpu.largest_array();
+        if let Some((what, need)) = largest.into_iter().find(|(_, need)| *need > allowed) {
             let [need, allowed] = [need.div_ceil(1 << 20), allowed >> 20];
-            return Some(format!("Adam's moments take {need} MiB in one buffer, and the device allows {allowed}"));
+            return Some(format!("{what} take {need} MiB in one buffer, and the device allows {allowed}"));
         }
         field.and_then(Known::lacks)
     }

@@ -59,7 +59,7 @@ struct BlockUpdate {
 }
 
 /// Bytes of the largest array of a state: the moments of these values.
-pub(crate) fn largest_array(cloud: &Cloud, field: Option<Known<'_>>) -> u64 {
+pub(crate) fn moments(cloud: &Cloud, field: Option<Known<'_>>) -> u64 {
     let mut values = 0;
     let mut add = |p: &Param| values += p.len().next_multiple_of(GROUP) as u64;
     cloud.visit(&mut add);

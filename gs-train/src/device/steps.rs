@@ -10,7 +10,7 @@ use gs_raster::{DeviceError, RasterOptions};
 /// them. The [`Trainer`](crate::trainer::Trainer) has them copied back when it edits rows, saves or scores.
 pub trait DeviceSteps: Send {
     /// What of this step the device cannot compute, in words; none if it can make it.
-    fn lacks(&self, cloud: &MovedCloud<'_>) -> Option<String>;
+    fn lacks(&self, cloud: &MovedCloud<'_>, camera: &Camera) -> Option<String>;
 
     /// Copies the state of a method to the device.
     ///

@@ -13,18 +13,21 @@ use crate::timestamp::Timestamp;
 use gs_core::cast;
 use gs_data::View;
 use gs_raster::DeviceError;
+use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
-/// What hinders whole steps where images have masks.
-const MASKED: &str = "the loss has a mask";
-/// What hinders them where frames are mapped to the colours of images.
+/// What hinders whole steps where frames are mapped to the colours of images.
 const EXPOSED: &str = "exposures are fitted";
 
 /// What makes whole steps, and which copy of the state is the present one.
 #[derive(Default)]
 pub(super) struct Resident {
     steps: Option<Box<dyn DeviceSteps>>,
+    /// Why there are none though the device was asked for them.
+    refused: Option<String>,
     state: Copies,
+    /// Whether the last step was made there.
+    made: bool,
 }
 
 /// Where the present state is.
@@ -37,8 +40,9 @@ enum Copies {
 }
 
 impl Resident {
-    pub(super) fn new(steps: Option<Box<dyn DeviceSteps>>) -> Self {
-        Self { steps, state: Copies::Host }
+    pub(super) fn new(opened: Result<Option<Box<dyn DeviceSteps>>, DeviceError>) -> Self {
+        let refused = opened.as_ref().err().map(ToString::to_string);
+        Self { steps: opened.ok().flatten(), refused, ..Self::default() }
     }
 
     /// Whether the device has made steps since the state was copied back.
@@ -53,7 +57,7 @@ impl Trainer {
     /// # Errors
     /// If the device fails.
     pub fn fetch(&mut self) -> Result<(), TrainError> {
-        let Resident { steps, state } = &mut self.resident;
+        let Resident { steps, state, .. } = &mut self.resident;
         if let (Some(steps), Copies::Device) = (steps, *state) {
             steps.store(&mut *self.model).map_err(MethodError::from)?;
             *state = Copies::Both;
@@ -70,16 +74,14 @@ impl Trainer {
 
     /// Why the coming steps, or some of them, are not made on the device as wholes, in words; none if all are.
     pub fn device_lacks(&self) -> Option<String> {
-        let Some(steps) = &self.resident.steps else { return Some("the device only renders".to_owned()) };
-        if self.dataset.train.iter().any(|view| view.mask_loss) {
-            return Some(MASKED.to_owned());
-        }
+        let Resident { steps, refused, .. } = &self.resident;
+        let Some(steps) = steps else { return Some(refused.clone().unwrap_or("the device only renders".to_owned())) };
         if self.schedule().exposure.fit {
             return Some(EXPOSED.to_owned());
         }
         let views = self.views(&self.dataset, self.step + 1);
         match self.on_device(&views) {
-            Ok((_, cloud)) => steps.lacks(&cloud),
+            Ok((view, cloud)) => steps.lacks(&cloud, &self.images.camera(view)),
             Err(why) => Some(why.to_owned()),
         }
     }
@@ -97,7 +99,8 @@ impl Trainer {
             (schedule.lambda_dssim > 0.0 && schedule.dssim != Dssim::Ssim, "schedule.dssim is not ssim"),
             (self.model.exposure(views.step, views.indices[0]).is_some(), EXPOSED),
             (self.model.cameras().row(view).is_some(), "cameras are refined"),
-            (view.mask_loss, MASKED),
+            // The state would travel between steps with a mask and steps without.
+            (self.dataset.train.iter().any(|view| view.mask_loss), "the loss has a mask"),
             (schedule.lr.values().flat_map(BTreeMap::values).any(sparse), "updates are sparse"),
         ];
         if let Some((_, why)) = hindrances.into_iter().find(|(hinders, _)| *hinders) {
@@ -108,13 +111,26 @@ impl Trainer {
         Ok((view, self.model.moved_cloud(&ctx)?))
     }
 
-    /// Makes a step on the device, if it can; the rows are copied back where the end of the step looks at them.
-    pub(super) fn step_on_device(&mut self, step: u32) -> Result<Option<(Learnt, Refused)>, TrainError> {
+    /// Makes a step on the device, if it can; the rows are copied back where the end of the step looks at them. Where it could make the last one
+    /// and not this one, `events` says why.
+    pub(super) fn step_on_device(
+        &mut self,
+        step: u32,
+        events: &mut Vec<Value>,
+    ) -> Result<Option<(Learnt, Refused)>, TrainError> {
         let Some(mut steps) = self.resident.steps.take() else { return Ok(None) };
         let done = self.step_with(&mut *steps, step);
         self.resident.steps = Some(steps);
-        let Some((mut learnt, refused, edits)) = done? else { return Ok(None) };
-        self.resident.state = Copies::Device;
+        let (mut learnt, refused, edits) = match done? {
+            Ok(done) => done,
+            Err(why) => {
+                if std::mem::take(&mut self.resident.made) {
+                    events.push(json!({"step": step, "made_on_the_cpu": why}));
+                }
+                return Ok(None);
+            }
+        };
+        (self.resident.made, self.resident.state) = (true, Copies::Device);
         if edits {
             let mut clock = Stopwatch::new();
             self.leave_device()?;
@@ -127,12 +143,15 @@ impl Trainer {
         &mut self,
         steps: &mut dyn DeviceSteps,
         step: u32,
-    ) -> Result<Option<(Learnt, Refused, bool)>, TrainError> {
+    ) -> Result<Result<(Learnt, Refused, bool), String>, TrainError> {
         let dataset = self.dataset.clone();
         let (views, next) = (self.views(&dataset, step), self.views(&dataset, step + 1));
-        match self.on_device(&views) {
-            Ok((_, cloud)) if steps.lacks(&cloud).is_none() => {}
-            _ => return Ok(None),
+        let hinders = match self.on_device(&views) {
+            Ok((view, cloud)) => steps.lacks(&cloud, &self.images.camera(view)),
+            Err(why) => Some(why.to_owned()),
+        };
+        if let Some(why) = hinders {
+            return Ok(Err(why));
         }
         let (mut clock, mut ms) = (Stopwatch::new(), Phases::default());
         self.give_image(steps, &views, &next)?;
@@ -172,7 +191,7 @@ impl Trainer {
         let non_finite = NonFinite { rows: loss.refused, first: None };
         let seen = ViewLoss { terms: values, non_finite, splats, ..ViewLoss::default() };
         let learnt = Learnt::of(&[seen], loss.penalties, views.names(), ms);
-        Ok(Some((learnt, refused, edits)))
+        Ok(Ok((learnt, refused, edits)))
     }
 
     /// Copies the image of a step to the device, unless it is there, and has that of the next one decoded meanwhile.

@@ -104,15 +104,15 @@ impl RenderPass {
 }
 
 impl Trainer {
-    /// The same run, its frames rendered on this device from now on, its steps made there where the device can. The bits of a run are
-    /// those of its device.
+    /// The same run, its frames rendered on this device from now on, its steps made there where the device can ([`Self::device_lacks`] says why
+    /// not). The bits of a run are those of its device.
     ///
     /// # Errors
     /// If the device fails.
     pub fn on(mut self, device: &Device) -> Result<Self, TrainError> {
         self.leave_device()?;
         self.pass.rasterizer = device.open().map_err(MethodError::from)?;
-        self.resident = Resident::new(device.open_steps().map_err(MethodError::from)?);
+        self.resident = Resident::new(device.open_steps());
         self.device = device.clone();
         Ok(self)
     }

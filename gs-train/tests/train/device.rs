@@ -1,5 +1,6 @@
 //! Frames rendered on another device than the CPU: a fake one, which counts its calls and fails on demand.
 
+use gs_core::Camera;
 use gs_data::{Dataset, ImageCache, ImageU8, Split};
 use gs_raster::DeviceError;
 use gs_synth::SynthOptions;
@@ -93,13 +94,16 @@ fn renders_and_scores_name_what_failed() {
 #[derive(Default)]
 struct AddsOne {
     calls: Arc<Mutex<Vec<&'static str>>>,
+    /// Steps that it can make; 0: any number.
+    most: usize,
     images: BTreeSet<usize>,
     values: Vec<Vec<f32>>,
 }
 
 impl DeviceSteps for AddsOne {
-    fn lacks(&self, _cloud: &MovedCloud<'_>) -> Option<String> {
-        None
+    fn lacks(&self, _cloud: &MovedCloud<'_>, _camera: &Camera) -> Option<String> {
+        let made = self.calls.lock().expect("calls").iter().filter(|call| **call == "step").count();
+        (self.most > 0 && made >= self.most).then(|| "it is tired".to_owned())
     }
 
     fn load(&mut self, method: &dyn Method) -> Result<(), DeviceError> {
@@ -164,9 +168,29 @@ fn whole_steps_stay_on_the_device_until_the_host_looks() {
     testkit::run(&mut run(&[edits], &device), 4);
     assert_eq!(taken(), ["load", "step", "step", "store", "load", "step", "step", "store"]);
 
-    // What the device lacks the host makes.
-    let mut batches = run(&["schedule.batch = 2"], &device);
-    assert_eq!(batches.device_lacks().as_deref(), Some("steps have more than one view"));
-    testkit::run(&mut batches, 2);
-    assert_eq!(taken(), [""; 0]);
+    // Where the device can make no more, the log says so, once; rows are edited in the step before.
+    let noted = calls.clone();
+    let tires = fake_device(0)
+        .0
+        .with_steps(move || Ok(Box::new(AddsOne { calls: noted.clone(), most: 2, ..AddsOne::default() })));
+    let reports = testkit::run(&mut run(&[edits], &tires), 4);
+    assert_eq!(taken(), ["load", "step", "step", "store"]);
+    let events: Vec<_> = reports.iter().flat_map(|r| &r.events).filter(|e| !e["made_on_the_cpu"].is_null()).collect();
+    assert!(events.len() == 1 && events[0]["made_on_the_cpu"] == "it is tired" && events[0]["step"] == 3, "{events:?}");
+
+    // What a step on a device has no part for the host makes.
+    for (over, why) in [
+        ("schedule.batch = 2", "steps have more than one view"),
+        ("schedule.lambda_fre = 0.1", "the amplitude-spectrum loss (schedule.lambda_fre) is on"),
+        ("schedule.dssim = \"ssim_box\"", "schedule.dssim is not ssim"),
+        ("schedule.exposure.fit = true\nschedule.exposure.after = 0.0", "exposures are fitted"),
+        ("cameras.refine = true", "cameras are refined"),
+        ("schedule.sparse_adam = true", "updates are sparse"),
+        ("schedule.lr.cloud.means.sparse = true", "updates are sparse"),
+    ] {
+        let mut trainer = run(&[over], &device);
+        assert_eq!(trainer.device_lacks().as_deref(), Some(why), "{over}");
+        testkit::run(&mut trainer, 2);
+        assert_eq!(taken(), [""; 0], "{over}");
+    }
 }

@@ -2,7 +2,8 @@
 // STRIDE and HAS_PROFILE come from the host: four or five vectors a splat.
 
 const SUPPORT_MARGIN: f32 = 0.999998;
-const MAX_SUPPORT: f32 = 100.0;
+// A sample is visible down to an alpha of 2^-126.
+const MAX_SUPPORT: f32 = 128.0;
 
 // 2^x for −126 ≤ x ≤ 127, relative error below 2.5e-7.
 fn exp2_accurate(x: f32) -> f32 {
@@ -50,7 +51,7 @@ fn profile_support(profile: vec4<f32>, log2_opacity: f32) -> f32 {
     if (g < 0.0) {
         return -1.0;
     }
-    let reach = min(-log2(max(g, 1e-30)), MAX_SUPPORT);
+    let reach = select(-log2(max(g, 1e-30)), MAX_SUPPORT, g < 1e-30);
     return min(reach, profile.w);
 }
 

@@ -37,7 +37,8 @@ fn main(
     let mean = vec3(means[3u * i], means[3u * i + 1u], means[3u * i + 2u]);
     let depth = in_camera(mean, 2u);
     let in_range = d_less(d_from(view.range.x), depth) && d_less(depth, d_from(view.range.y));
-    if (!in_range || opacities[i] < view.limits.x) {
+    // What is no number is at least nothing.
+    if (!in_range || !(opacities[i] >= view.limits.x)) {
         hide(i);
         return;
     }

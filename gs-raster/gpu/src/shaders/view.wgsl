@@ -11,7 +11,7 @@ struct View {
     background: vec4<f32>,
     thresholds: vec4<f32>,           // min_alpha, log2(min_alpha), max_alpha, stop
     range: vec4<f32>,                // near, far, dilation, largest visible a² + b²
-    limits: vec4<f32>,               // smallest opacity drawn, cut of kernels that never decay (log2 units), -, -
+    limits: vec4<f32>,               // smallest opacity drawn, -, -, -
     sizes: vec4<u32>,                // width, height, tile columns, tile rows
     counts: vec4<u32>,               // splats, entries that fit, SH degree, -
     flags: vec4<u32>,                // antialias, gradient above the cap, SH colours, listing writes

@@ -2,8 +2,8 @@
 
 use crate::adapter::{gpu, scene_with};
 use gs_core::{Color, Kernel, Splats, SplatsGrad};
-use gs_gpu::{GpuError, Renderer};
-use gs_raster::{Frame, FrameGrad, RasterOptions, ScreenStats, measure};
+use gs_gpu::{GpuError, Renderer, Shape};
+use gs_raster::{Frame, FrameGrad, RasterOptions, ScreenStats, Workspace, measure};
 
 /// A frame and its gradient by a renderer.
 fn both(
@@ -15,11 +15,15 @@ fn both(
     let camera = measure::camera(side);
     let (mut frame, mut grad, mut stats) = Default::default();
     renderer.render_into(splats, &camera, options, &mut frame).expect("a frame");
-    let n = frame.alpha.len();
-    let wave = |k: usize| (0.37 * k as f32).sin();
-    let d = FrameGrad { rgb: (0..3 * n).map(wave).collect(), alpha: (0..n).map(wave).collect(), depth: vec![0.1; n] };
+    let d = cotangents(&frame);
     renderer.render_backward_into(splats, &camera, options, &d, &mut grad, &mut stats).expect("a gradient");
     (frame, grad, stats)
+}
+
+fn cotangents(frame: &Frame) -> FrameGrad {
+    let n = frame.alpha.len();
+    let wave = |k: usize| (0.37 * k as f32).sin();
+    FrameGrad { rgb: (0..3 * n).map(wave).collect(), alpha: (0..n).map(wave).collect(), depth: vec![0.1; n] }
 }
 
 #[test]
@@ -49,11 +53,41 @@ fn colours_of_every_degree_and_plain_ones_agree_with_the_cpu() {
     let scenes = (0..=3).map(|degree| measure::scene(500, degree)).chain([plain]);
     for splats in scenes {
         let (frame, grad, _) = both(&mut renderer, &splats, 64, &options);
-        let want = gs_raster::render(&splats, &measure::camera(64), &options, &mut Default::default());
+        let (want, want_grad) = on_the_cpu(&splats, 64, &options);
         let far = frame.rgb.data.iter().zip(&want.rgb.data).filter(|(a, b)| (*a - *b).abs() > 1e-4).count();
         assert!(far < 12, "{far} values differ"); // samples on a threshold
         assert_eq!(grad.color.len(), 500 * splats.color.width());
+        let off = apart(&grad.color, &want_grad.color);
+        assert!(off < 1e-3, "{off}");
     }
+}
+
+/// A frame and its gradient by the CPU, for the cotangents of [`both`].
+fn on_the_cpu(splats: &Splats, side: u32, options: &RasterOptions) -> (Frame, SplatsGrad) {
+    let (camera, mut workspace) = (measure::camera(side), Workspace::default());
+    let frame = gs_raster::render(splats, &camera, options, &mut workspace);
+    let grad = gs_raster::render_backward(splats, &camera, options, &mut workspace, &cotangents(&frame));
+    (frame, grad.0)
+}
+
+/// How far values are from others, relative to the length of these.
+fn apart(got: &[f32], want: &[f32]) -> f64 {
+    let square = |v: f32| f64::from(v).powi(2);
+    let off: f64 = got.iter().zip(want).map(|(a, b)| square(a - b)).sum();
+    (off / want.iter().map(|v| square(*v)).sum::<f64>()).sqrt()
+}
+
+/// More block sums than one round of the scan adds.
+#[test]
+fn many_splats_agree_with_the_cpu() {
+    let Some(gpu) = gpu() else { return };
+    let (splats, options) = (measure::scene(270_000, 0), RasterOptions::default());
+    let (frame, grad, _) = both(&mut Renderer::new(&gpu), &splats, 64, &options);
+    let (want, want_grad) = on_the_cpu(&splats, 64, &options);
+    let far = frame.rgb.data.iter().zip(&want.rgb.data).filter(|(a, b)| (*a - *b).abs() > 1e-3).count();
+    assert!(far < 60, "{far} values differ"); // samples on a threshold
+    let off = apart(&grad.opacities, &want_grad.opacities);
+    assert!(off < 1e-2, "{off}");
 }
 
 #[test]
@@ -84,7 +118,7 @@ fn what_cannot_be_is_refused_by_name() {
     assert_eq!(backward(&mut renderer, 32), Err(GpuError::NoFrame), "a frame of another size");
     assert_eq!(backward(&mut renderer, 64), Ok(()));
 
-    // Big faint splats over a big image: 16 million pairs, and 62 MiB for each number of them where 128 MiB are allowed.
+    // Big faint splats over a big image: 41 million pairs, and 156 MiB for each number of them where 128 MiB are allowed.
     let mut wide = measure::scene(10_000, 0);
     wide.scales.fill(glam::Vec3::splat(10.0));
     wide.opacities.fill(0.01);
@@ -99,4 +133,24 @@ fn what_cannot_be_is_refused_by_name() {
     }
     // The renderer goes on.
     renderer.render_into(&splats, &measure::camera(64), &options, &mut frame).expect("a frame");
+}
+
+/// Room for the pairs of one frame is not what the gradients of the next need.
+#[test]
+fn a_frame_of_many_pairs_costs_the_next_gradient_nothing() {
+    let Some(gpu) = gpu() else { return };
+    let (mut renderer, options, mut frame) = (Renderer::new(&gpu), RasterOptions::default(), Frame::default());
+    // 3.3 million pairs: the frame fits, its gradient would take 150 MiB of 128. Pixels are opaque after a few.
+    let mut wide = measure::scene(800, 0);
+    wide.scales.fill(glam::Vec3::splat(10.0));
+    wide.opacities.fill(0.99);
+    renderer.render_into(&wide, &measure::camera(1024), &options, &mut frame).expect("a frame");
+    let (_, grad, _) = both(&mut renderer, &measure::scene(100, 0), 64, &options);
+    assert!(grad.opacities.iter().any(|g| *g != 0.0));
+    // Of room for eight pairs of each splat the gradient would not fit.
+    let shape = Shape { splats: 400_000, sh_degree: None };
+    let (mut resident, desc) = (Renderer::new(&gpu), Default::default());
+    resident.make_room(shape).expect("room");
+    let mut encoder = gpu.device().create_command_encoder(&desc);
+    resident.encode_frame(&mut encoder, shape, &measure::camera(16), &options).expect("a frame and its gradient fit");
 }
