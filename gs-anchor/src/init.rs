@@ -140,7 +140,7 @@ pub fn anchors_from_points(
     if cells.len() > init.max_anchors as usize {
         return Err(InitError::TooMany { anchors: cells.len(), voxel, cap: init.max_anchors });
     }
-    let positions: Vec<Vec3> = cells.into_iter().map(|c| position_of(c, voxel)).collect();
+    let positions: Vec<Vec3> = cells.into_iter().map(|c| position_of(c, voxel.into())).collect();
     let log_scales = log_scales(&positions, voxel)?;
     Ok(InitialAnchors { anchors: Anchors::new(shape, &positions, &log_scales), voxel })
 }

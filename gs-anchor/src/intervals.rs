@@ -10,7 +10,7 @@
 //! [`Rule::Ref`] is the rule of the released code. There the canonical time is that of the *nearest* boundary, less
 //! `1/N` if that lies after `t`; once boundaries have moved this is generally no boundary at all, and such frames are
 //! left out of the statistic. Gradients of interval `c` are counted in slot `c − 1` and move the boundaries around that
-//! one.
+//! one, `b_0` among them.
 //!
 //! ```
 //! use gs_anchor::{IntervalConfig, Intervals};

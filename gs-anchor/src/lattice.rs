@@ -32,8 +32,8 @@ pub(crate) fn cell_of(point: Vec3, size: f32) -> Option<Cell> {
 }
 
 /// The position of a cell for cells of side `size`, world units.
-pub(crate) fn position_of(cell: Cell, size: f32) -> Vec3 {
-    Vec3::from_array(cell.map(|c| cast::to_f32(f64::from(c) * f64::from(size))))
+pub(crate) fn position_of(cell: Cell, size: f64) -> Vec3 {
+    Vec3::from_array(cell.map(|c| cast::to_f32(f64::from(c) * size)))
 }
 
 #[cfg(test)]
@@ -54,7 +54,7 @@ mod tests {
             let mut rng = Rng::new(1, "lattice", 0, u64::from(size.to_bits()));
             for _ in 0..5000 {
                 let cell: Cell = std::array::from_fn(|_| rng.below(2 * MAX_CELL as u32 + 1) as i32 - MAX_CELL);
-                assert_eq!(cell_of(position_of(cell, size), size), Some(cell), "{size}");
+                assert_eq!(cell_of(position_of(cell, size.into()), size), Some(cell), "{size}");
             }
         }
     }

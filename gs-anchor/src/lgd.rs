@@ -79,8 +79,9 @@ pub struct LgdConfig {
 impl LgdConfig {
     /// [`FourDgsConfig::for_moments`]. Where that bounds the time nodes of planes, the grids have no more over times 0 … 1.
     pub fn for_moments(mut self, moments: f64) -> Self {
+        let before = self.field.hexplane.resolution[3];
         self.field = self.field.for_moments(moments);
-        if self.field.rows_per_moment > 0.0 {
+        if self.field.hexplane.resolution[3] < before {
             let most = self.field.hexplane.time_rows() as f32;
             let HashGridConfig { base, end, .. } = &mut self.hash.temporal;
             [base, end].into_iter().for_each(|resolution| resolution[2] = resolution[2].min(most));

@@ -198,8 +198,9 @@ impl Tracer {
 /// A ray of unit direction, and the length of `dir`; `range` is in lengths of `dir`. `None` if it is not finite or has no
 /// direction. (The library replaces components below 1e-7 in its box tests, so they must be of a unit vector.)
 fn unit_ray(origin: Vec3, dir: Vec3, from: f32, to: f32) -> Option<(Ray, f32)> {
-    let length = dir.length();
-    let unit = dir / length;
+    // Squares of very short and very long directions leave the range of f32.
+    let direction = dir.as_dvec3();
+    let (length, unit) = (direction.length() as f32, (direction / direction.length()).as_vec3());
     let good = origin.is_finite() && unit.is_finite();
     good.then(|| (Ray::new(origin.to_vec3a(), unit.to_vec3a(), from * length, to * length), length))
 }

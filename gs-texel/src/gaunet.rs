@@ -29,6 +29,10 @@ use serde::{Deserialize, Serialize};
 
 /// Channel groups of every normalisation.
 const GROUPS: usize = 8;
+/// Highest degree of the colours.
+const MAX_SH_DEGREE: u32 = 3;
+/// Most levels: a map is halved so often.
+const MAX_LEVELS: u32 = 16;
 
 /// Shape of a [`GauNet`]; defaults are those of the paper with spherical harmonics of degree 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -67,13 +71,20 @@ impl GauNetConfig {
 
     /// Output channels, `11 + 3 (sh_degree + 1)²`.
     pub fn outputs(&self) -> usize {
-        11 + 3 * (self.sh_degree as usize + 1).pow(2)
+        11 + 3 * (self.sh_degree.min(MAX_SH_DEGREE) as usize + 1).pow(2)
     }
 
     fn check(&self) -> Result<(), NetError> {
         if self.inputs == 0 || self.levels == 0 {
             let what = if self.levels == 0 { "level" } else { "input channel" };
             return Err(NetError::Empty { net: "GauNet", what });
+        }
+        if self.levels > MAX_LEVELS {
+            return Err(NetError::TooLarge { net: "GauNet", what: "levels", value: self.levels, most: MAX_LEVELS });
+        }
+        if self.sh_degree > MAX_SH_DEGREE {
+            let (value, most) = (self.sh_degree, MAX_SH_DEGREE);
+            return Err(NetError::TooLarge { net: "GauNet", what: "sh_degree", value, most });
         }
         if self.width == 0 || !self.width.is_multiple_of(GROUPS) {
             return Err(NetError::Width { net: "GauNet", width: self.width, multiple: GROUPS });
@@ -100,7 +111,7 @@ impl GauNetConfig {
     pub fn param_count(&self) -> u64 {
         let double =
             |inputs, outputs| double(inputs, outputs).map(Unit::count).into_iter().fold(0, u64::saturating_add);
-        let levels = self.levels as usize;
+        let levels = self.levels.min(MAX_LEVELS) as usize;
         let down = (0..=levels).map(|l| double(self.below(l), self.channels(l)));
         let up = (0..levels).map(|l| {
             let (inputs, outputs) = (self.channels(l + 1), self.channels(l));
@@ -116,7 +127,7 @@ impl GauNetConfig {
     /// assert!((paper / 48.4e9 - 1.0).abs() < 1e-3, "{paper}");
     /// ```
     pub fn multiply_adds(&self) -> f64 {
-        let levels = self.levels as usize;
+        let levels = self.levels.min(MAX_LEVELS) as usize;
         // A texel of a level stands for 4^level of the map.
         let weights = |level: usize, spec| ConvSpec { bias: false, ..spec }.count() as f64 * 0.25f64.powf(level as f64);
         let double =

@@ -96,7 +96,7 @@ pub fn load_layers(path: &Path, limits: &Limits) -> Result<Vec<Layer>, IoError> 
             named.push((layer.to_owned(), kind, place, channel));
         }
     }
-    named.sort_by(|a, b| a.0.cmp(&b.0).then(a.2.cmp(&b.2)));
+    named.sort_by(|a, b| a.0.cmp(&b.0).then((a.1 as u8).cmp(&(b.1 as u8))).then(a.2.cmp(&b.2)));
     let assemble = |same: &[(String, Kind, usize, Channel)]| {
         let mut map = Image::zeros(width, height, same.len());
         for (i, (_, _, _, channel)) in same.iter().enumerate() {

@@ -370,7 +370,7 @@ impl Fusion<'_> {
         let mut sum = Sum::default();
         for (i, view) in self.views.iter().enumerate() {
             let Some(sample) = view.sample(p, n, face, self.config, &self.of_mesh) else { continue };
-            let weight = sum.add(&sample, self.config.fuse);
+            let weight = sum.add(&sample, self.config);
             if let Some(w) = by_view.get_mut(i) {
                 *w = weight;
             }
@@ -390,16 +390,16 @@ struct Sum {
 
 impl Sum {
     /// Adds a view and returns its weight.
-    fn add(&mut self, s: &Sample, fuse: FuseWeight) -> f32 {
+    fn add(&mut self, s: &Sample, config: &UnprojectConfig) -> f32 {
         self.seen += 1;
-        let weight = match fuse {
+        let weight = match config.fuse {
             FuseWeight::CosPow(p) => s.mask * s.cos.max(0.0).powf(p),
             FuseWeight::Mask | FuseWeight::BestView => s.mask,
         };
-        if fuse == FuseWeight::BestView {
+        if config.fuse == FuseWeight::BestView {
             let key = |s: &Sample| [s.cos, s.mask, s.color[0], s.color[1], s.color[2]];
             let better = |old: Sample| key(s).partial_cmp(&key(&old)) == Some(std::cmp::Ordering::Greater);
-            if self.best.is_none_or(better) {
+            if s.mask >= config.min_weight && self.best.is_none_or(better) {
                 self.best = Some(*s);
             }
             return weight;

@@ -228,7 +228,7 @@ impl CompactTensor {
         let position = self.name.ends_with(".means") || self.name.ends_with(".positions");
         let coding = match (packing.bits, self.lattice) {
             _ if self.exact || self.values.len() <= SMALL => Coding::F32,
-            (_, Some(step)) => Coding::Lattice(step),
+            (bits, Some(step)) => Coding::Lattice { step, exact: bits == Bits::Full },
             (Bits::Full, _) => Coding::F32,
             (Bits::Half | Bits::Byte, _) if position => Coding::Affine16,
             (Bits::Half, _) => Coding::F16,

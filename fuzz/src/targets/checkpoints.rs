@@ -124,7 +124,8 @@ fn load_meta(case: &Case, dir: &Path) -> Result<(), String> {
 /// Tensors in every coding, without a method.
 fn packed(dir: &Path) -> Result<Vec<Case>, Error> {
     let values: Vec<f32> = (0..24).map(|k| (k * k % 17) as f32 * 0.25).collect();
-    let codings = [Coding::F32, Coding::F16, Coding::Affine8, Coding::Affine16, Coding::Lattice(0.25)];
+    let codings =
+        [Coding::F32, Coding::F16, Coding::Affine8, Coding::Affine16, Coding::Lattice { step: 0.25, exact: false }];
     let tensors = codings.iter().enumerate().map(|(k, _)| (format!("t{k}"), values.clone())).collect();
     let checkpoint = Checkpoint { meta: serde_json::json!({"step": 1}), tensors };
     let of = |deflate| {

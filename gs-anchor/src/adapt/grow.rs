@@ -59,14 +59,16 @@ pub(super) fn new_anchors(
         if level > 0 && rules.only_after_coarser && new.is_empty() {
             continue;
         }
-        let side = at.voxel * rules.cells(level) as f32;
+        // Positions are whole multiples of the first cells' side, whatever the level.
+        let exact_side = f64::from(at.voxel) * f64::from(rules.cells(level));
+        let side = cast::to_f32(exact_side);
         let candidates = rows
             .iter()
             .zip(sampled)
             .filter(|&(&row, sampled)| sampled && statistics.mean_grad(row) >= rules.threshold(level));
         let cells = candidate_cells(statistics, anchors, side, candidates.map(|(&row, _)| row));
         let free = free_cells(cells, anchors, &new, side, capacity - new.len());
-        new.extend(free.into_iter().map(|cell| new_anchor(anchors, cell, side, level as usize)));
+        new.extend(free.into_iter().map(|cell| new_anchor(anchors, cell, exact_side, level as usize)));
     }
     new
 }
@@ -117,15 +119,15 @@ fn free_cells(
     cells
 }
 
-fn new_anchor(anchors: &Anchors, candidate: CandidateCell, side: f32, level: usize) -> NewAnchor {
+fn new_anchor(anchors: &Anchors, candidate: CandidateCell, exact_side: f64, level: usize) -> NewAnchor {
     let width = anchors.shape().features;
     let feature_of = |v: u32| &anchors.features.value[v as usize * width..][..width];
     let mut feature = feature_of(candidate.parents[0]).to_vec();
     for &v in &candidate.parents[1..] {
         feature.iter_mut().zip(feature_of(v)).for_each(|(a, b)| *a = a.max(*b));
     }
-    let position = position_of(candidate.cell, side);
-    NewAnchor { parent: candidate.parents[0], level, position, log_scale: side.ln(), feature }
+    let position = position_of(candidate.cell, exact_side);
+    NewAnchor { parent: candidate.parents[0], level, position, log_scale: cast::to_f32(exact_side).ln(), feature }
 }
 
 /// Writes the new anchors over the copies of their parents, from row `first` on.

@@ -120,7 +120,10 @@ fn new_anchors_lie_on_the_lattice_of_their_level_in_cells_of_candidates() {
         for v in level.clone() {
             let p = a.position(v);
             let c = cell_of(p, side).unwrap();
-            assert!((p - crate::lattice::position_of(c, side)).length() == 0.0, "{p} is not on the lattice of {side}");
+            assert!(
+                (p - crate::lattice::position_of(c, side.into())).length() == 0.0,
+                "{p} is not on the lattice of {side}"
+            );
             assert!(centres.iter().any(|q| cell_of(*q, side) == Some(c)), "{p}: no candidate");
             assert_eq!(a.log_scales.value[6 * v..][..6], [side.ln(); 6]);
             let earlier = (0..v).filter(|&u| cell_of(a.position(u), side) == Some(c));

@@ -9,7 +9,7 @@
 //! fall below the minimum width; boundaries are processed in order. `b_0` never moves.
 //!
 //! The released rule ([`Rule::Ref`]) has N − 1 slots, counts gradients of interval j + 1 in slot j, and moves the two
-//! boundaries around `b_j`, one step each, as long as they do not meet.
+//! boundaries around `b_j`, one step each, as long as they do not meet: of slot 1 that moves `b_0`.
 
 use super::{Intervals, Rule};
 use gs_core::cast;
@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 /// One boundary move of a pass.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Move {
-    /// Index of the boundary, 1 … N − 1.
+    /// Index of the boundary, 1 … N − 1; 0 as well under [`Rule::Ref`].
     pub boundary: usize,
     /// Normalised time before the pass.
     pub from: f32,
@@ -29,7 +29,7 @@ pub struct Move {
 /// A boundary whose move was rejected.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Rejected {
-    /// Index of the boundary, 1 … N − 1.
+    /// Index of the boundary, 1 … N − 1; 0 as well under [`Rule::Ref`].
     pub boundary: usize,
     /// Normalised time of the boundary, unchanged.
     pub at: f32,

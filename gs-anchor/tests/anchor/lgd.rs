@@ -199,6 +199,8 @@ fn grids_have_no_more_time_nodes_than_planes_may() {
     assert_eq!(config.clone().for_moments(30.0).hash, config.hash, "no bound");
     config.field.rows_per_moment = 0.5;
     // 15 rows of planes, of which times 0 to 1 reach 8.
-    let HashGridConfig { base, end, .. } = config.for_moments(30.0).hash.temporal;
+    let HashGridConfig { base, end, .. } = config.clone().for_moments(30.0).hash.temporal;
     assert_eq!((base[2], end), (4.0, [64.0, 64.0, 8.0]));
+    // More moments than the planes have rows for bound nothing.
+    assert_eq!(config.clone().for_moments(1e4).hash, config.hash);
 }

@@ -17,7 +17,7 @@
 
 /// Number of values in an encoded row: `dims · (1 + 2 bands)`.
 pub fn width(dims: usize, bands: usize) -> usize {
-    dims * (1 + 2 * bands)
+    dims.saturating_mul(bands.saturating_mul(2).saturating_add(1))
 }
 
 /// Encodes rows of `dims` values into rows of [`width`] values.

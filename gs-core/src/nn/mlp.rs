@@ -69,6 +69,20 @@ impl Mlp {
         widths.windows(2).fold(0, |sum, w| sum.saturating_add(Dense::count(w[0], w[1])))
     }
 
+    /// The same of `inputs`, then `hidden` layers of one width, then `outputs`: whatever these numbers are.
+    ///
+    /// ```
+    /// use gs_core::nn::Mlp;
+    /// assert_eq!(Mlp::count_deep(3, 2, 16, 4), Mlp::count(&[3, 16, 16, 4]));
+    /// assert_eq!(Mlp::count_deep(3, 0, 16, 4), Mlp::count(&[3, 4]));
+    /// assert_eq!(Mlp::count_deep(3, usize::MAX, 16, 4), u64::MAX);
+    /// ```
+    pub fn count_deep(inputs: usize, hidden: usize, width: usize, outputs: usize) -> u64 {
+        let Some(between) = hidden.checked_sub(1) else { return Dense::count(inputs, outputs) };
+        let deep = Dense::count(width, width).saturating_mul(between as u64);
+        Dense::count(inputs, width).saturating_add(deep).saturating_add(Dense::count(width, outputs))
+    }
+
     /// The same network with another activation than ReLU.
     pub fn with_activation(mut self, activation: Activation) -> Self {
         self.activation = activation;

@@ -47,7 +47,7 @@ impl HexPlaneConfig {
     }
 
     pub(crate) fn first_time_row(&self) -> usize {
-        (self.resolution[3] - 1) / 2
+        self.resolution[3].saturating_sub(1) / 2
     }
 
     /// Nodes along x, y, z and stored rows of t at a level factor.

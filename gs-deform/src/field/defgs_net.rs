@@ -83,10 +83,15 @@ impl DefGsConfig {
 
     /// Number of parameters of the field; the largest number where that is beyond it.
     pub fn param_count(&self) -> u64 {
-        let time = self.time_net().map_or(0, |widths| Mlp::count(&widths));
-        let layers = self.layer_inputs().map(|inputs| Dense::count(inputs, self.width));
+        let (position, time) = self.inputs();
+        let inputs = position.saturating_add(time);
+        let trunk = Mlp::count_deep(inputs, self.depth.max(1) - 1, self.width, self.width);
+        // The layer that takes the inputs again.
+        let again = self.skip.saturating_add(1) < self.depth;
+        let skip = if again { (inputs as u64).saturating_mul(self.width as u64) } else { 0 };
+        let net = self.time_net().map_or(0, |widths| Mlp::count(&widths));
         let heads = HEADS.map(|(_, outputs)| Dense::count(self.width, outputs));
-        layers.chain(heads).fold(time, u64::saturating_add)
+        [trunk, skip, net].into_iter().chain(heads).fold(0, u64::saturating_add)
     }
 }
 

@@ -143,7 +143,9 @@ impl HexPlaneField {
     pub fn new(name: &str, config: &FourDgsConfig, aabb: Aabb, seed: u64) -> Result<Self, DeformError> {
         let wanted = [config.move_means, config.move_scales, config.move_quats];
         let head = |k: usize| wanted[k].then(|| wanted[..k].iter().filter(|w| **w).count());
-        let limit = (config.scale_rule == ScaleRule::Add).then(|| aabb.max.distance(aabb.min));
+        // A box without extent bounds nothing.
+        let diagonal = Some(aabb.max.distance(aabb.min)).filter(|d| *d > 0.0).unwrap_or(f32::INFINITY);
+        let limit = (config.scale_rule == ScaleRule::Add).then_some(diagonal);
         Ok(Self {
             config: config.clone(),
             net: PlaneNet::new(name, &config.net(), &config.heads(), aabb, seed)?,

@@ -54,7 +54,9 @@ impl Default for PlaneNetConfig {
 impl PlaneNetConfig {
     /// Number of parameters of a net with the given heads (name, outputs); the largest number where that is beyond it.
     pub fn param_count(&self, heads: &[(&str, usize)]) -> u64 {
-        let layers = Mlp::count(&self.trunk()).saturating_add(Heads::count([self.width; 2], heads));
+        let features = self.hexplane.channels.saturating_mul(self.hexplane.levels.len());
+        let trunk = Mlp::count_deep(features, self.depth.max(1) - 1, self.width, self.width);
+        let layers = trunk.saturating_add(Heads::count([self.width; 2], heads));
         self.hexplane.param_count().saturating_add(layers)
     }
 

@@ -75,6 +75,7 @@ fn largest(v: impl IntoIterator<Item = f64>) -> f64 {
 /// Largest difference relative to the largest wanted value.
 fn worst(got: &[f32], want: &[f64]) -> f64 {
     assert_eq!(got.len(), want.len());
+    assert!(got.iter().all(|v| v.is_finite()));
     largest(got.iter().zip(want).map(|(g, w)| f64::from(*g) - w)) / largest(want.iter().copied()).max(1e-30)
 }
 

@@ -15,7 +15,7 @@ use gs_core::nn::BLOCK;
 use gs_core::{Params, Rng, Time};
 use gs_deform::encode::HexPlaneConfig;
 use gs_deform::reference::{PlaneNetRef, PlaneNetRefGrad};
-use gs_deform::{Aabb, PlaneNet, PlaneNetConfig, PlaneNetTape};
+use gs_deform::{Aabb, DefGsConfig, DefMlp, Grid4dConfig, PlaneNet, PlaneNetConfig, PlaneNetTape};
 
 type Heads = &'static [(&'static str, usize)];
 
@@ -92,6 +92,7 @@ fn wide(p: Vec3) -> [f64; 3] {
 
 fn assert_close(got: &[f32], want: &[f64], bound: f64, what: &str) {
     assert_eq!(got.len(), want.len(), "{what}");
+    assert!(got.iter().all(|v| v.is_finite()), "{what}");
     let largest = want.iter().fold(1e-30f64, |m, v| m.max(v.abs()));
     let worst = got.iter().zip(want).fold(0.0f64, |m, (g, w)| m.max((f64::from(*g) - w).abs())) / largest;
     assert!(worst <= bound, "{what}: {worst:e}");
@@ -295,4 +296,23 @@ fn threads_and_warm_tapes_change_no_bit() {
     for n in [n, 0, 1, 15, 16, 17, BLOCK, BLOCK + 1] {
         assert!(run(&mut net, &mut tape, n) == run(&mut make(), &mut PlaneNetTape::default(), n), "n = {n}");
     }
+}
+
+#[test]
+fn sizes_are_counted_whatever_they_are() {
+    let most = usize::MAX;
+    for (depth, skip) in [(1, 4), (8, 4), (3, 2), (3, 1), (2, 0)] {
+        let config = DefGsConfig { depth, skip, ..DefGsConfig::default() };
+        let mut made = 0;
+        DefMlp::new(&config, 1).unwrap().visit(&mut |p| made += p.len() as u64);
+        assert_eq!(config.param_count(), made, "{depth} layers, inputs again after {skip}");
+    }
+    let planes = HexPlaneConfig { resolution: [most, most, most, 0], channels: most, ..HexPlaneConfig::default() };
+    let absurd = PlaneNetConfig { width: most, depth: most, hexplane: planes, ..PlaneNetConfig::default() };
+    assert_eq!(absurd.param_count(LOCAL), u64::MAX);
+    let absurd = DefGsConfig { width: most, depth: most, skip: most, bands_position: most, ..DefGsConfig::default() };
+    assert_eq!(absurd.param_count(), u64::MAX);
+    let mut absurd = Grid4dConfig { width: most, depth: most, ..Grid4dConfig::default() };
+    (absurd.canonical.levels, absurd.fourier.bands) = (most, most);
+    assert_eq!(absurd.param_count(), u64::MAX);
 }

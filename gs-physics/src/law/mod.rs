@@ -98,15 +98,20 @@ struct BlockGrad {
 impl LawConfig {
     /// Number of parameters of the law; the largest number where that is beyond it.
     pub fn param_count(&self) -> u64 {
-        Mlp::count(&widths(self))
+        Mlp::count_deep(inputs(self), self.depth, self.hidden, Form::new(self).outputs().0)
     }
+}
+
+/// Inputs of the network.
+fn inputs(config: &LawConfig) -> usize {
+    let time = if config.input == LawInput::Xt { encoding::width(1, config.bands) } else { 0 };
+    encoding::width(3, config.bands).saturating_add(time)
 }
 
 /// Widths of the network's layers.
 fn widths(config: &LawConfig) -> Vec<usize> {
-    let time = if config.input == LawInput::Xt { encoding::width(1, config.bands) } else { 0 };
     let mut widths = vec![config.hidden; config.depth + 2];
-    widths[0] = encoding::width(3, config.bands) + time;
+    widths[0] = inputs(config);
     widths[config.depth + 1] = Form::new(config).outputs().0;
     widths
 }

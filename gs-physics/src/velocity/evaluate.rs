@@ -30,7 +30,7 @@ pub(crate) struct Evaluation {
 
 /// Width of an encoded position and time.
 pub(crate) fn inputs(bands: usize) -> usize {
-    encoding::width(3, bands) + encoding::width(1, bands)
+    encoding::width(3, bands).saturating_add(encoding::width(1, bands))
 }
 
 /// Writes `(γ(s x), γ(t))` of each row.

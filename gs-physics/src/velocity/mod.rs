@@ -84,7 +84,7 @@ struct Chunk {
 impl VelocityConfig {
     /// Number of parameters of both networks; the largest number where that is beyond it.
     pub fn param_count(&self) -> u64 {
-        Mlp::count(&widths(self)).saturating_mul(2)
+        Mlp::count_deep(evaluate::inputs(self.bands), self.depth, self.hidden, BASIS).saturating_mul(2)
     }
 }
 

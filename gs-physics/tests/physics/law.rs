@@ -288,6 +288,10 @@ fn a_law_learns_and_extrapolates() {
 fn the_head_starts_small_but_not_at_zero() {
     let law = Law::new(&LawConfig::default(), ORIGIN, STEP, 0).unwrap();
     assert_eq!(law.param_count(), 104_332, "the authors' light network");
+    assert_eq!(LawConfig::default().param_count(), 104_332);
+    let most = usize::MAX;
+    let absurd = LawConfig { hidden: most, depth: most, bands: most, ..LawConfig::default() };
+    assert_eq!(absurd.param_count(), u64::MAX);
     let bound = 1.0 / 128f32.sqrt();
     law.visit(&mut |p| {
         if p.name == "physics.layer.7.weight" {

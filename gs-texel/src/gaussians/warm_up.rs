@@ -64,7 +64,7 @@ pub fn targets(
     let mean = squares.iter().sum::<f64>() / texels.max(1) as f64;
     let mut rows = vec![0.0; texels * channels.width()];
     for (k, row) in rows.chunks_exact_mut(channels.width()).enumerate() {
-        let sigma = squares[k].max(mean).sqrt().clamp(scale_range[0], scale_range[1]);
+        let sigma = squares[k].max(mean).sqrt().max(scale_range[0]).min(scale_range[1]);
         row[SCALE].fill(sigma.ln() as f32);
         row[QUAT].copy_from_slice(&from_x_to(normals[k]));
         for (c, rgb) in row[COLOR..COLOR + 3].iter_mut().zip(colors[k]) {

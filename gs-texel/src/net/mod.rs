@@ -36,6 +36,18 @@ pub enum NetError {
         /// What is missing: `level` or `input channel`.
         what: &'static str,
     },
+    /// A setting is above its largest value.
+    #[error("{what} of a {net} is at most {most}, not {value}")]
+    TooLarge {
+        /// Name of the network: GeoNet or GauNet.
+        net: &'static str,
+        /// Name of the setting.
+        what: &'static str,
+        /// Its value.
+        value: u32,
+        /// Its largest value.
+        most: u32,
+    },
     /// The side of the map cannot be halved often enough.
     #[error("a map of {size}x{size} cannot be halved {halvings} times: use a multiple of {}", 1usize << halvings)]
     Size {

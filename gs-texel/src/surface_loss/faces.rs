@@ -129,10 +129,13 @@ impl Surface<'_> {
             for f in self.topology.corners.row(v).iter().map(|corner| *corner as usize / 3) {
                 let corners = self.faces[f];
                 let [a, b, c] = corners.map(|v| self.points[v as usize]);
+                // A face without an area has no foot.
+                if is_flat(b - a, c - a) {
+                    continue;
+                }
                 let bary = nearest_in_triangle(q, [a, b, c]);
                 let error = bary[0] * a + bary[1] * b + bary[2] * c - q;
                 let mut foot = Foot { corners, bary, error, cost: error.length_squared(), d_bary: [0.0; 3] };
-                // A face without an area has no foot.
                 if foot.cost.is_nan() || foot.cost >= cheapest(&best) {
                     continue;
                 }
@@ -149,6 +152,11 @@ impl Surface<'_> {
         }
         best
     }
+}
+
+/// Whether the face of these edges has no area to speak of: the sine of their angle is below 1e-7.
+fn is_flat(e: DVec3, f: DVec3) -> bool {
+    e.cross(f).length_squared() <= 1e-14 * e.length_squared() * f.length_squared()
 }
 
 /// The longest edge at each vertex.
@@ -192,7 +200,7 @@ fn foot_backward(at: [DVec3; 3], bary: [f64; 3], r: DVec3, d_bary: [f64; 3]) -> 
 }
 
 /// Barycentric coordinates of the point of a triangle that is nearest to `q` (Ericson 2005, "Real-Time Collision
-/// Detection", 5.1.5). NaN for a triangle without area.
+/// Detection", 5.1.5), which has an area.
 fn nearest_in_triangle(q: DVec3, [a, b, c]: [DVec3; 3]) -> [f64; 3] {
     let (ab, ac) = (b - a, c - a);
     let (d1, d2) = (ab.dot(q - a), ac.dot(q - a));

@@ -2,7 +2,7 @@
 
 use super::TexelTable;
 use crate::surface::{CHUNK, NONE, Rows};
-use glam::Vec2;
+use glam::{DVec2, Vec2};
 use gs_core::Image;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -105,7 +105,7 @@ impl MapReader {
         assert_eq!((map.width, map.height), (self.size, self.size), "a map of the table's size is read");
         let c = map.channels;
         let mut out = vec![0.0; self.len() * c];
-        out.par_chunks_mut(c).with_min_len(CHUNK).enumerate().for_each(|(i, out)| {
+        out.par_chunks_mut(c.max(1)).with_min_len(CHUNK).enumerate().for_each(|(i, out)| {
             for (texel, weight) in self.row(i) {
                 let at = &map.data[texel * c..(texel + 1) * c];
                 out.iter_mut().zip(at).for_each(|(o, m)| *o += weight * m);
@@ -139,7 +139,8 @@ impl MapReader {
 /// The texels read at one coordinate and their weights, which sum to 1.
 fn taps(table: &TexelTable, uv: Vec2) -> Vec<(u32, f64)> {
     let (size, last) = (table.size, table.size as i64 - 1);
-    let p = uv.as_dvec2() * size as f64 - 0.5;
+    // Beyond the border the border is read.
+    let p = (uv.as_dvec2() * size as f64 - 0.5).clamp(DVec2::splat(-1.0), DVec2::splat(size as f64));
     let (floor, part) = (p.floor(), p - p.floor());
     let mut out = Vec::with_capacity(4);
     for (dy, wy) in [(0, 1.0 - part.y), (1, part.y)] {
@@ -161,9 +162,9 @@ fn taps(table: &TexelTable, uv: Vec2) -> Vec<(u32, f64)> {
 }
 
 /// The valid texel nearest to a position in texels, searched in growing squares.
-fn nearest(table: &TexelTable, p: glam::DVec2) -> Option<u32> {
+fn nearest(table: &TexelTable, p: DVec2) -> Option<u32> {
     let size = table.size as i64;
-    let inside = p.clamp(glam::DVec2::ZERO, glam::DVec2::splat((size - 1) as f64));
+    let inside = p.clamp(DVec2::ZERO, DVec2::splat((size - 1) as f64));
     let (cx, cy) = (inside.x.round() as i64, inside.y.round() as i64);
     let mut best: Option<(f64, u32)> = None;
     for r in 0..=size {
@@ -177,7 +178,7 @@ fn nearest(table: &TexelTable, p: glam::DVec2) -> Option<u32> {
             let mut x = cx - r;
             while x <= cx + r {
                 if (0..size).contains(&x) && table.row[(y * size + x) as usize] != NONE {
-                    let d = (inside - glam::DVec2::new(x as f64, y as f64)).length_squared();
+                    let d = (inside - DVec2::new(x as f64, y as f64)).length_squared();
                     if best.is_none_or(|b| d < b.0) {
                         best = Some((d, (y * size + x) as u32));
                     }

@@ -32,14 +32,15 @@ fn taps(from: usize, to: usize) -> Vec<Taps> {
 /// are 0. Without a mask, `Σ w x` (DUT's published code).
 ///
 /// # Panics
-/// If the mask does not have one value per texel.
+/// If the mask does not have one value per texel, or the map has no channel.
 pub fn resize(map: &Image, mask: Option<&[f32]>, size: usize) -> (Image, Vec<f32>) {
     let (width, height, c) = map.shape();
     assert!(mask.is_none_or(|m| m.len() == width * height), "a mask value for every texel");
+    assert!(c > 0, "a channel");
     let (across, down) = (taps(width, size), taps(height, size));
     // Rows first, into f64: values times mask, and the mask beside them.
     let mut narrow = vec![0.0f64; height * size * (c + 1)];
-    narrow.par_chunks_mut(size * (c + 1)).enumerate().for_each(|(y, out)| {
+    narrow.par_chunks_mut((size * (c + 1)).max(1)).enumerate().for_each(|(y, out)| {
         for (taps, out) in across.iter().zip(out.chunks_exact_mut(c + 1)) {
             for (i, w) in taps.weights.iter().enumerate() {
                 let at = y * width + taps.first + i;
@@ -52,19 +53,21 @@ pub fn resize(map: &Image, mask: Option<&[f32]>, size: usize) -> (Image, Vec<f32
     });
     let mut out = Image::zeros(size, size, c);
     let mut share = vec![0.0; size * size];
-    out.data.par_chunks_mut(size * c).zip(share.par_chunks_mut(size)).zip(&down).for_each(|((out, share), taps)| {
-        let mut sum = vec![0.0f64; c + 1];
-        for x in 0..size {
-            sum.fill(0.0);
-            for (i, w) in taps.weights.iter().enumerate() {
-                let at = ((taps.first + i) * size + x) * (c + 1);
-                sum.iter_mut().zip(&narrow[at..=at + c]).for_each(|(s, v)| *s += w * v);
+    out.data.par_chunks_mut((size * c).max(1)).zip(share.par_chunks_mut(size.max(1))).zip(&down).for_each(
+        |((out, share), taps)| {
+            let mut sum = vec![0.0f64; c + 1];
+            for x in 0..size {
+                sum.fill(0.0);
+                for (i, w) in taps.weights.iter().enumerate() {
+                    let at = ((taps.first + i) * size + x) * (c + 1);
+                    sum.iter_mut().zip(&narrow[at..=at + c]).for_each(|(s, v)| *s += w * v);
+                }
+                share[x] = sum[c] as f32;
+                let norm = if sum[c] > 1e-6 { 1.0 / sum[c] } else { 0.0 };
+                out[x * c..(x + 1) * c].iter_mut().zip(&sum).for_each(|(o, s)| *o = (s * norm) as f32);
             }
-            share[x] = sum[c] as f32;
-            let norm = if sum[c] > 1e-6 { 1.0 / sum[c] } else { 0.0 };
-            out[x * c..(x + 1) * c].iter_mut().zip(&sum).for_each(|(o, s)| *o = (s * norm) as f32);
-        }
-    });
+        },
+    );
     (out, share)
 }
 

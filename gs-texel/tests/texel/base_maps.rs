@@ -100,6 +100,7 @@ fn a_root_far_away_costs_no_precision() {
     let far = Camera { translation: view.translation - view.rotation * root, ..view };
     let want = render_at(&near, &view);
     let got = render_at(&local[0], &camera_relative_to(&far, root));
+    assert!(got.iter().all(|v| v.is_finite()));
     let worst = got.iter().zip(&want).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
     assert!(worst < 2e-5, "{worst}");
     // Without it, f32 means have a quarter of a metre.

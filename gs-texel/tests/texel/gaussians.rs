@@ -120,6 +120,7 @@ fn affine_covariance_is_that_of_the_mapped_ellipsoid() {
             std::array::from_fn(|r| std::array::from_fn(|c| (0..3).map(|k| base.linear[r][k] * m[k][c]).sum()));
         let want = covariance::covariance(&mapped);
         let largest = want.iter().fold(0.0f64, |a, b| a.max(b.abs()));
+        assert!(sigma(&g).iter().all(|v| v.is_finite()));
         let worst = sigma(&g).iter().zip(want).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         assert!(worst < 1e-13 * largest, "{seed}: {worst:e} of {largest:e}");
         let length: f64 = g.quat.iter().map(|v| v * v).sum();
@@ -200,6 +201,7 @@ fn gradient_of_a_row_matches_differences() {
                     (value(&hi, &base) - value(&lo, &base)) / (2.0 * step)
                 })
                 .collect();
+            assert!(got.iter().all(|v| v.is_finite()));
             let largest = want.iter().fold(1e-3f64, |m, v| m.max(v.abs()));
             let error = got.iter().zip(&want).map(|(a, b)| (a - b).abs() / largest).fold(0.0, f64::max);
             worst[slot] = worst[slot].max(error);
@@ -239,6 +241,7 @@ fn production_follows_the_reference() {
             row::backward(&narrow, &single, mode, RANGE, &d_single, &mut got);
             let (a, b) = (row::decode(&row, &base, mode, RANGE), row::decode(&narrow, &single, mode, RANGE));
             let values = |a: &[f64], b: &[f32]| {
+                assert!(b.iter().all(|v| v.is_finite()));
                 let largest = a.iter().fold(1e-30f64, |m, v| m.max(v.abs()));
                 a.iter().zip(b).map(|(a, b)| (a - f64::from(*b)).abs() / largest).fold(0.0, f64::max)
             };

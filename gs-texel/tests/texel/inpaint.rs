@@ -142,6 +142,7 @@ fn cameras_are_weighted_smoothly() {
 fn named_maps_come_back() {
     use gs_core::Image;
     use gs_core::io::Limits;
+    use gs_core::io::exr::{Channel, save_channels};
     use gs_texel::maps_exr::{Kind, Layer, load_layers, save_layers};
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("maps.exr");
@@ -157,6 +158,15 @@ fn named_maps_come_back() {
     ];
     save_layers(&path, &layers, false).unwrap();
     assert_eq!(load_layers(&path, &Limits::default()).unwrap(), layers);
+    // Of a file of another program: one layer with channels of two kinds.
+    let channel = |name: &str, value: f32| Channel { name: name.into(), half: false, values: vec![value; 4] };
+    let mixed = [channel("a.R", 1.0), channel("a.G", 2.0), channel("a.X", 3.0), channel("a.Y", 4.0)];
+    let other = folder.path().join("mixed.exr");
+    save_channels(&other, (2, 2), &mixed, false).unwrap();
+    let read = load_layers(&other, &Limits::default()).unwrap();
+    let [color, vector] = &read[..] else { panic!("{} layers", read.len()) };
+    assert_eq!((color.kind, &color.map.data[..2]), (Kind::Color, &[1.0, 2.0][..]));
+    assert_eq!((vector.kind, &vector.map.data[..2]), (Kind::Vector, &[3.0, 4.0][..]));
     let fails = |layers: &[Layer]| assert!(save_layers(&folder.path().join("bad.exr"), layers, false).is_err());
     fails(&[]);
     fails(&[layer("a", Kind::Vector, false, map(5, 1.0))]);

@@ -157,6 +157,7 @@ fn three_levels<N: Net>(what: &str, net: &N, size: usize, mask: Option<&[bool]>)
         params.push(wide(&p.value));
     });
     let (y, grads) = net.pass(size, mask);
+    assert!(grads.iter().flatten().chain(&y).all(|v| v.is_finite()), "{what}");
     let want = N::reference(&params, &input, &masks);
     let largest = want.data.iter().fold(0.0f64, |m, v| m.max(v.v.abs()));
     let value = y.iter().zip(&want.data).fold(0.0f64, |m, (y, w)| m.max((f64::from(*y) - w.v).abs())) / largest;
@@ -335,6 +336,14 @@ fn what_does_not_fit_is_refused_with_its_reason() {
     assert_eq!(width, NetError::Width { net: "GeoNet", width: 24, multiple: 16 });
     assert!(make(GeoNetConfig { inputs: 0, ..base }).is_err());
     assert!(GauNet::new("g", GauNetConfig { levels: 0, ..GauNetConfig::tiny() }, 1).is_err());
+    for (what, config) in [
+        ("sh_degree", GauNetConfig { sh_degree: 4, ..GauNetConfig::tiny() }),
+        ("levels", GauNetConfig { levels: u32::MAX, ..GauNetConfig::tiny() }),
+    ] {
+        let error = GauNet::new("g", config, 1).map(|_| ()).unwrap_err();
+        assert!(error.to_string().starts_with(&format!("{what} of a GauNet is at most")), "{error}");
+        assert!(config.param_count() > 0 && config.multiply_adds() > 0.0);
+    }
     let mut net = GeoNet::new("g", base, 1).unwrap();
     assert_eq!(GeoNet::tape(&net, 12, None).unwrap_err(), NetError::Size { size: 12, halvings: 3 });
     assert!(GeoNet::tape(&net, 0, None).is_err());

@@ -158,6 +158,7 @@ fn points_and_gradients_follow_the_twin() {
     let (v, g) = (points(N, "v"), points(N, "g"));
     let transforms = blend(&weights, &joints);
     let (x, back) = (skin(&v, &transforms), skin_backward(&transforms, &g));
+    assert!(x.iter().chain(&back).all(|v| v.is_finite()));
     let (mut worst_x, mut worst_g) = (0.0f64, 0.0f64);
     for i in 0..N {
         let at = |v: DVec3| twin(&weights, &joints, i, v);

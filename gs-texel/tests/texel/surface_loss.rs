@@ -58,6 +58,7 @@ fn rings(faces: &[[u32; 3]], vertices: usize) -> Vec<Vec<u32>> {
 
 /// Largest difference of gradient and central differences, relative to the largest entry of either.
 fn against_differences(points: &[DVec3], grad: &[DVec3], value: impl Fn(&[DVec3]) -> f64) -> f64 {
+    assert!(grad.iter().all(|g| g.is_finite()));
     let h = 1e-6;
     let (mut worst, mut largest) = (0.0f64, 1e-30f64);
     for i in 0..points.len() {
@@ -81,6 +82,7 @@ fn narrow(points: &[DVec3]) -> Vec<Vec3> {
 
 /// How far the loss of rounded positions is from that of exact ones.
 fn apart(a: &SurfaceLoss, b: &SurfaceLoss) -> f64 {
+    assert!(a.value.is_finite() && a.grad.iter().all(|g| g.is_finite()));
     let largest = b.grad.iter().map(|g| g.abs().max_element()).fold(1e-30, f64::max);
     let worst = a.grad.iter().zip(&b.grad).map(|(a, b)| (*a - *b).abs().max_element()).fold(0.0, f64::max);
     (worst / largest).max((a.value - b.value).abs() / b.value)
@@ -452,6 +454,16 @@ fn degenerate_faces_contribute_nothing() {
         let all = NormalConsistency::new(&flat, &topology(&flat, 2), rule).evaluate(&[DVec3::ZERO, DVec3::X]);
         assert_eq!(all, SurfaceLoss { value: 0.0, grad: vec![DVec3::ZERO; 2] }, "{rule:?}");
     }
+    // Three corners on a line.
+    let line = [
+        DVec3::new(0.5563841462135315, -0.4091322422027588, -0.297284871339798),
+        DVec3::new(-0.34131866693496704, -0.26483234763145447, 0.15485335886478424),
+        DVec3::new(0.257149875164032, -0.36103227734565735, -0.14657212793827057),
+    ];
+    let q = DVec3::new(-0.0060662333853542805, -0.37707632780075073, -0.02630871720612049);
+    let one = topology(&[[0, 1, 2]], 3);
+    let none = Chamfer::new(&[q]).unwrap().evaluate_faces(&line, &[[0, 1, 2]], &one, None).unwrap();
+    assert_eq!(none, SurfaceLoss { value: 0.0, grad: vec![DVec3::ZERO; 3] });
     let point = Isometry::new(&[DVec3::ZERO; 3], &[[0, 1, 2]], &topology(&[[0, 1, 2]], 3), IsometryRule::AllEdges);
     assert!(point.is_empty());
 }

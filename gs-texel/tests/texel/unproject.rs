@@ -67,6 +67,7 @@ fn one_colour_stays_one_colour_whatever_the_weights() {
         for r in Rule::ALL {
             let texture = capture.texture(&UnprojectConfig { fuse, ..rule(r) });
             let seen = (0..capture.table.len()).filter(|&k| texture.seen[k] > 0);
+            assert!(texture.colors.iter().flatten().all(|v| v.is_finite()));
             let worst = seen
                 .flat_map(|k| texture.colors[k].into_iter().zip([0.3, 0.6, 0.9]))
                 .fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));

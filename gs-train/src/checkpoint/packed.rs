@@ -43,8 +43,13 @@ pub enum Coding {
     Affine8,
     /// As steps of 1/65535, likewise.
     Affine16,
-    /// As whole multiples of a step, if all are exactly that; else as [`Coding::Affine16`].
-    Lattice(f32),
+    /// As whole multiples of a step, if all are exactly that.
+    Lattice {
+        /// Distance of neighbouring values, above 0.
+        step: f32,
+        /// Where a value is none of them, all are stored as they are; else in 16 bits.
+        exact: bool,
+    },
 }
 
 /// How a tensor is written down.
@@ -101,8 +106,9 @@ fn encode(turned: &[f32], coding: Coding, columns: usize, group: u32) -> (u8, Ve
         }
         Coding::Affine8 if finite && largest <= MAX_AFFINE => (2, affine(turned, columns, group, 255, 1)),
         Coding::Affine16 if finite && largest <= MAX_AFFINE => (3, affine(turned, columns, group, 65_535, 2)),
-        Coding::Lattice(step) => match lattice(turned, columns, step) {
+        Coding::Lattice { step, exact } => match lattice(turned, columns, step) {
             Some(body) => (4, body),
+            None if exact => plain(),
             None => encode(turned, Coding::Affine16, columns, group),
         },
         _ => plain(),

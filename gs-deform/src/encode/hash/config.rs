@@ -10,6 +10,9 @@ pub(crate) const FEATURES: usize = 2;
 /// Largest number of values in all tables together: 2 GiB of `f32`.
 const MAX_VALUES: u64 = 1 << 29;
 
+const MAX_LEVELS: usize = 64;
+const MAX_LOG2_TABLE: u32 = 28;
+
 /// Largest resolution: beyond it an `f32` coordinate has fewer than seven bits left inside a cell.
 const MAX_RESOLUTION: f32 = 131_072.0;
 
@@ -29,15 +32,18 @@ pub struct HashGridConfig {
 }
 
 impl HashGridConfig {
-    /// Number of parameters of all tables.
+    /// Number of parameters of all tables; the largest number where there are too many levels or entries for any.
     pub fn param_count(&self) -> u64 {
+        if self.levels > MAX_LEVELS || self.log2_table > MAX_LOG2_TABLE {
+            return u64::MAX;
+        }
         let entries = Level::all(self).iter().map(|l| l.entries as u64).sum::<u64>();
         entries.saturating_mul(FEATURES as u64)
     }
 
     /// Features per point of the grid.
     pub(crate) fn width(&self) -> usize {
-        FEATURES * self.levels
+        self.levels.saturating_mul(FEATURES)
     }
 
     pub(super) fn check(&self) -> Result<(), DeformError> {
@@ -48,10 +54,10 @@ impl HashGridConfig {
                 return reject(field, format!("{resolution:?}"), "between 2 and 131072 along every axis");
             }
         }
-        if self.levels == 0 || self.levels > 64 {
+        if self.levels == 0 || self.levels > MAX_LEVELS {
             return reject("levels", self.levels.to_string(), "between 1 and 64");
         }
-        if !(1..=28).contains(&self.log2_table) {
+        if !(1..=MAX_LOG2_TABLE).contains(&self.log2_table) {
             return reject("log2_table", self.log2_table.to_string(), "between 1 and 28");
         }
         let values = self.param_count();

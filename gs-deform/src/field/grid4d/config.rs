@@ -199,7 +199,7 @@ impl Grid4dConfig {
 
     /// Features per point of the canonical grid and of the three temporal grids together.
     pub(super) fn features(&self) -> [usize; 2] {
-        [self.canonical.width(), 3 * self.temporal.width()]
+        [self.canonical.width(), self.temporal.width().saturating_mul(3)]
     }
 
     /// Number of parameters of the field; the largest number where that is beyond it.
@@ -207,10 +207,10 @@ impl Grid4dConfig {
         let ([space, time], width) = (self.features(), self.width);
         let grids = self.temporal.param_count().saturating_mul(3).saturating_add(self.canonical.param_count());
         let layers = [space, time].map(|inputs| Dense::count(inputs, width)).into_iter();
-        let hidden = (0..self.depth).map(|_| Dense::count(width, width));
+        let hidden = Dense::count(width, width).saturating_mul(self.depth as u64);
         let branch = if self.fourier.on { self.fourier.param_count(width) } else { 0 };
-        let rest = [grids, branch, Dense::count(width, self.head_width())];
-        layers.chain(hidden).chain(rest).fold(0, u64::saturating_add)
+        let rest = [grids, branch, hidden, Dense::count(width, self.head_width())];
+        layers.chain(rest).fold(0, u64::saturating_add)
     }
 
     /// Whether the Fourier branch is evaluated as one small matrix.
@@ -246,7 +246,7 @@ impl FourierConfig {
 
     /// Inputs of the layer that joins waves and features, if there is one.
     pub(super) fn joined(&self, width: usize) -> Option<usize> {
-        (self.fusion == Fusion::Concat).then_some(width + 2 * self.bands)
+        (self.fusion == Fusion::Concat).then_some(self.bands.saturating_mul(2).saturating_add(width))
     }
 
     fn param_count(&self, width: usize) -> u64 {

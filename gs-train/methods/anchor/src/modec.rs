@@ -11,6 +11,7 @@
 
 use crate::anchored::{AnchorConfig, Anchored, Motion, Parts, Query, SparsityConfig};
 use crate::scaffold::{self, DOMAINS};
+use gs_anchor::gad::{Activation, Factor, GadHead};
 use gs_anchor::{AnchorDensifyRules, AnchorShape, DecoderConfig, Gad, GadConfig, IntervalConfig, Intervals};
 use gs_anchor::{Lgd, LgdConfig, LgdEncoder};
 use gs_core::cast;
@@ -85,6 +86,22 @@ pub struct Config {
     pub schedule: Schedule,
 }
 
+/// Whether logits of motion can leave 0, where they begin. A relu has no slope there; tanh has one, but of a network that begins at zero there is nothing
+/// yet to weigh, and without weight it stays at zero. A logit that a mask shares gets the mask's gradient, and a penalty moves any but those of a relu.
+fn logits_can_learn(config: &Config) -> bool {
+    let (dynamics, heads) = (config.gad.dynamics, &config.gad.heads);
+    let moves = heads.contains(&GadHead::Positions);
+    let factors = [(moves, dynamics.global), (heads.len() > usize::from(moves), dynamics.local)];
+    let used = |factor| factors.contains(&(true, factor));
+    let alone = used(Factor::Mul) && (config.logits == 2 || !used(Factor::Mask));
+    let stuck = match dynamics.activation {
+        Activation::Sigmoid => false,
+        Activation::Relu => true,
+        Activation::Tanh => config.gad.net.zero_init && config.sparsity.weight == 0.0,
+    };
+    !(alone && stuck)
+}
+
 fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let mut config: Config = parse_config(ENTRY.name, table)?;
     let wrong = |why: String| MethodError::Config { method: ENTRY.name, why };
@@ -94,6 +111,13 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     }
     if !(config.sparsity.weight >= 0.0 && config.sparsity.weight.is_finite()) {
         return Err(wrong(format!("sparsity.weight = {}: finite, not negative", config.sparsity.weight)));
+    }
+    if config.global && !logits_can_learn(&config) {
+        let activation = format!("{:?}", config.gad.dynamics.activation).to_lowercase();
+        return Err(wrong(format!(
+            "gad.dynamics.activation = {activation}: its logits begin at 0 and stay there; sigmoid learns, relu where a mask shares the logit (logits = 1), tanh \
+             also with gad.net.zero_init = false or sparsity.weight above 0"
+        )));
     }
     if config.lgd.encoder == LgdEncoder::Hash && config.lgd_query == Query::Rest {
         return Err(wrong("lgd_query = rest: moved with lgd.encoder = hash, which is asked at the means".into()));
@@ -128,6 +152,7 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
         dynamics,
         motion,
         sparsity: Some(config.sparsity),
+        dilation: config.schedule.dilation,
     };
     Model::new(ENTRY.name, Anchored::new(parts, scene)?, config.schedule)
 }

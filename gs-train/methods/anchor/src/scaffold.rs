@@ -93,6 +93,7 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
         dynamics: 0,
         motion: Motion::default(),
         sparsity: None,
+        dilation: config.schedule.dilation,
     };
     Model::new(ENTRY.name, Anchored::new(parts, scene)?, config.schedule)
 }

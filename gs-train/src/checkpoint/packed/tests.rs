@@ -14,6 +14,10 @@ fn round_trip(values: &[f32], encoding: &Encoding) -> Vec<f32> {
     unpack(&pack(values, encoding), MAX_VALUES).unwrap()
 }
 
+fn lattice(step: f32) -> Coding {
+    Coding::Lattice { step, exact: false }
+}
+
 #[test]
 fn errors_stay_within_half_a_step() {
     for n in [0, 1, 3, 12, 300, 1203] {
@@ -56,7 +60,7 @@ fn constants_and_extremes_survive() {
     assert_eq!(round_trip(&[0.3; 50], &affine), [0.3; 50]);
     assert_eq!(round_trip(&[-1e30, 0.0, 1e30], &affine)[0], -1e30);
     for wild in [vec![f32::MAX, -1.0], vec![f32::NAN, 1.0], vec![f32::INFINITY]] {
-        for coding in [Coding::F16, Coding::Affine8, Coding::Affine16, Coding::Lattice(0.1)] {
+        for coding in [Coding::F16, Coding::Affine8, Coding::Affine16, lattice(0.1)] {
             let back = round_trip(&wild, &encoding(coding, 1, 0, true));
             assert_eq!(
                 back.iter().map(|v| v.to_bits()).collect::<Vec<_>>(),
@@ -72,19 +76,22 @@ fn cells_of_a_lattice_come_back_exactly() {
     for step in [0.01f32, 1.0 / 3.0, 2e-5] {
         let values: Vec<f32> =
             (0..3000).map(|_| ((f64::from(rng.below(1_000_000)) - 4e5) * f64::from(step)) as f32).collect();
-        let packed = pack(&values, &encoding(Coding::Lattice(step), 3, 0, true));
+        let packed = pack(&values, &encoding(lattice(step), 3, 0, true));
         assert_eq!(packed[0], 4);
         assert_eq!(unpack(&packed, MAX_VALUES).unwrap(), values);
         assert!(packed.len() < 3 * values.len(), "{} bytes", packed.len());
     }
     // A value off the lattice: no lattice.
-    assert_eq!(pack(&[0.01, 0.02, 0.0251], &encoding(Coding::Lattice(0.01), 3, 0, false))[0], 3);
+    let off = [0.01, 0.02, 0.0251];
+    assert_eq!(pack(&off, &encoding(lattice(0.01), 3, 0, false))[0], 3);
+    let exact = pack(&off, &encoding(Coding::Lattice { step: 0.01, exact: true }, 3, 0, false));
+    assert_eq!((exact[0], unpack(&exact, 3).unwrap()), (0, off.to_vec()), "no value is rounded");
 }
 
 /// Packed tensors of every encoding.
 fn samples() -> Vec<Vec<u8>> {
     let values: Vec<f32> = (0..60).map(|i| 0.25 * i as f32).collect();
-    let codings = [Coding::F32, Coding::F16, Coding::Affine8, Coding::Affine16, Coding::Lattice(0.25)];
+    let codings = [Coding::F32, Coding::F16, Coding::Affine8, Coding::Affine16, lattice(0.25)];
     let both = codings.into_iter().flat_map(|c| [(c, false), (c, true)]);
     both.map(|(coding, deflate)| pack(&values, &encoding(coding, 3, 0, deflate))).collect()
 }

@@ -95,8 +95,8 @@ impl Anchored {
         let visible = match self.config.filter {
             Filter::Off => Visible::All,
             Filter::Clean => {
-                let reach =
-                    VisibilityOptions { margin: if tape.moves { margin } else { 0.0 }, ..VisibilityOptions::default() };
+                let margin = if tape.moves { margin } else { 0.0 };
+                let reach = VisibilityOptions { margin, dilation: self.dilation };
                 visible::conservative(&tape.local, camera, &reach, &mut tape.listed);
                 Visible::List(&tape.listed)
             }

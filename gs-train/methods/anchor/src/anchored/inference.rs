@@ -94,12 +94,8 @@ impl Anchored {
         let (mut splats, mut tape, mut listed) = <(Splats, DecodeTape, Vec<u32>)>::default();
         let visible = match margin {
             Some(margin) => {
-                visible::conservative(
-                    local,
-                    camera,
-                    &VisibilityOptions { margin, ..VisibilityOptions::default() },
-                    &mut listed,
-                );
+                let reach = VisibilityOptions { margin, dilation: self.dilation };
+                visible::conservative(local, camera, &reach, &mut listed);
                 Visible::List(&listed)
             }
             None => Visible::All,

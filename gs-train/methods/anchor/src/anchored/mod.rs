@@ -91,6 +91,8 @@ pub struct Parts {
     pub motion: Motion,
     /// Penalty on the logits of motion.
     pub sparsity: Option<SparsityConfig>,
+    /// What rendering adds to the diagonal of projected covariances, pixels²: that of the schedule.
+    pub dilation: f64,
 }
 
 /// The body of both methods: anchors, decoder and motion under training.
@@ -108,6 +110,7 @@ pub struct Anchored {
     reach: Vec<f32>,
     diagonal: f32,
     seed: u64,
+    dilation: f64,
     /// Training views: public code stores a row of appearance for each.
     cameras: u32,
     at: StepCtx,
@@ -145,6 +148,7 @@ impl Anchored {
             reach: vec![0.0],
             diagonal: scene.bounds[0].distance(scene.bounds[1]),
             seed: scene.seed,
+            dilation: parts.dilation,
             cameras: scene.views,
             at: StepCtx::default(),
             tape: Tape::default(),

@@ -128,6 +128,17 @@ fn what_makes_no_sense_is_refused_by_name() {
     assert!(large.contains("log2_table") && large.contains("480000"), "{large}");
     let levels = error("lgd.hash.canonical.levels = 65");
     assert!(levels.contains("`lgd.hash.canonical.levels` = 65"), "{levels}");
+    // Logits that can never leave 0.
+    assert!(error("gad.dynamics.activation = \"relu\"").contains("activation = relu"));
+    assert!(error("gad.dynamics.activation = \"tanh\"").contains("activation = tanh"));
+    for learns in ["sparsity.weight = 0.01", "gad.net.zero_init = false"] {
+        let over = format!("{learns}\ngad.dynamics.activation = \"tanh\"");
+        assert!(
+            Trainer::new(&registry(), scene("sheet", 32, 6), "modec", &hash(&over), TrainOptions::default()).is_ok()
+        );
+    }
+    let shared = "logits = 1\ngad.dynamics.activation = \"relu\"";
+    assert!(Trainer::new(&registry(), scene("sheet", 32, 6), "modec", &hash(shared), TrainOptions::default()).is_ok());
     let wrong = error("lgd.width = \"wide\"");
     assert!(wrong.contains("lgd"), "{wrong}");
 }
