@@ -2,7 +2,7 @@
 //!
 //! The extension stores activated values: linear scales, opacities in `[0, 1]`, unit quaternions `(x, y, z, w)`; SH
 //! coefficients are one attribute each, with the signs of [`crate::sh`]. glTF's axes are left, up, front: x and y of `.ply`
-//! files change sign on the way in and out. `COLOR_0` holds degree 0 for viewers that render points.
+//! files change sign on the way in and out. `COLOR_0` holds degree 0 in linear light, for viewers that render points.
 //!
 //! A scene of rigid parts in motion ([`write_parts`]) has a node for each, and one animation of their translations and rotations,
 //! linear between key frames.
@@ -23,6 +23,8 @@ pub(super) const MAGIC: &[u8; 4] = b"glTF";
 pub(super) const JSON_CHUNK: u32 = 0x4E4F_534A;
 pub(super) const BINARY_CHUNK: u32 = 0x004E_4942;
 pub(super) const EXTENSION: &str = "KHR_gaussian_splatting";
+/// Display-encoded colours, which splats are blended in.
+pub(super) const COLOR_SPACE: &str = "srgb_rec709_display";
 /// Axes whose signs differ between `.ply` and glTF.
 pub(super) const FLIPPED: [bool; 3] = [true, true, false];
 /// glTF's component type of `f32`.
@@ -59,6 +61,11 @@ pub struct RigidMotion {
     pub rotations: Vec<[f32; 4]>,
 }
 
+/// Linear light of a display-encoded value, 0..1 (IEC 61966-2-1).
+fn linear(v: f32) -> f32 {
+    if v <= 0.040_45 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+}
+
 /// One vertex attribute to write.
 struct Attribute {
     name: String,
@@ -76,7 +83,7 @@ fn attributes(splats: &RawSplats) -> Vec<Attribute> {
     let opacities: Vec<f32> = splats.logit_opacities.iter().map(|&o| sigmoid(o)).collect();
     let rows = || splats.sh.chunks_exact(splats.sh_width());
     let color = |(row, &o): (&[f32], &f32)| {
-        let channel = |k: usize| (0.5 + sh::C0 as f32 * row.get(k).copied().unwrap_or(0.0)).clamp(0.0, 1.0);
+        let channel = |k: usize| linear((0.5 + sh::C0 as f32 * row.get(k).copied().unwrap_or(0.0)).clamp(0.0, 1.0));
         [channel(0), channel(1), channel(2), o]
     };
     let mut out = vec![
@@ -143,7 +150,7 @@ impl File {
             self.bound(position as usize, json!(bound(Vec3::min)), json!(bound(Vec3::max)));
         }
         let extension = json!({
-            "kernel": "ellipse", "colorSpace": "srgb_rec709_display",
+            "kernel": "ellipse", "colorSpace": COLOR_SPACE,
             "projection": "perspective", "sortingMethod": "cameraDistance",
         });
         json!({"primitives": [{"mode": POINTS, "attributes": named, "extensions": {EXTENSION: extension}}]})

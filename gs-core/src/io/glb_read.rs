@@ -1,7 +1,7 @@
 //! Reading binary glTF: chunks, accessors, primitives of splats.
 
 use super::error::{At, Source};
-use super::glb::{BINARY_CHUNK, EXTENSION, FLOAT, JSON_CHUNK, MAGIC, own, sh_names};
+use super::glb::{BINARY_CHUNK, COLOR_SPACE, EXTENSION, FLOAT, JSON_CHUNK, MAGIC, own, sh_names};
 use super::glb_scene::GlbScene;
 use super::raw::{finite_logit, log_scale};
 use super::{IoError, Limits, RawSplats};
@@ -67,6 +67,12 @@ impl Reader<'_> {
         if kernel.is_some_and(|k| k != "ellipse") {
             return Err(self.src.unsupported(format!("the kernel {kernel:?}"), "export with the kernel `ellipse`"));
         }
+        // Splats of linear colours blend otherwise as well.
+        let space = splats.pointer(&format!("/extensions/{EXTENSION}/colorSpace")).and_then(Value::as_str);
+        if space.is_some_and(|s| s != COLOR_SPACE) {
+            let advice = "export with the colour space `srgb_rec709_display`";
+            return Err(self.src.unsupported(format!("the colour space {space:?}"), advice));
+        }
         let inner = splats.pointer(&format!("/extensions/{EXTENSION}/extensions"));
         match inner.and_then(Value::as_object).and_then(|e| e.keys().next()) {
             Some(name) => Err(self.src.unsupported(format!("the extension `{name}`"), "export without compression")),
@@ -94,7 +100,12 @@ impl Reader<'_> {
             let what = format!("`{name}` in another form than {width} plain f32");
             return Err(self.src.unsupported(what, "export without quantisation"));
         }
-        let view = self.list("bufferViews", number(accessor, "bufferView"))?;
+        let Some(view) = accessor.get("bufferView").and_then(Value::as_u64) else {
+            return Err(self
+                .src
+                .unsupported(format!("`{name}` without a buffer view"), "export with all values written"));
+        };
+        let view = self.list("bufferViews", view)?;
         if number(view, "buffer") != 0 {
             return Err(self.src.unsupported("a second buffer", "pack everything into the .glb"));
         }

@@ -7,6 +7,7 @@ use super::{IoError, Limits, RawSplats};
 use glam::{DMat3, DMat4, DQuat, DVec3, Vec3};
 use serde_json::Value;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// Most nodes above one another.
 const MAX_DEPTH: usize = 64;
@@ -32,8 +33,8 @@ pub struct GlbScene {
 struct Node {
     parent: Option<usize>,
     rest: Placement,
-    translation: Option<Track>,
-    rotation: Option<Track>,
+    translation: Option<Arc<Track>>,
+    rotation: Option<Arc<Track>>,
 }
 
 /// `p ↦ s R p + t`.
@@ -76,6 +77,9 @@ impl Placement {
         splats
     }
 }
+
+/// Bytes of a key frame: a time and four values.
+const KEY_BYTES: u64 = 36;
 
 /// Key frames of a translation (three values) or a rotation (four, x, y, z, w).
 #[derive(Clone, Debug)]
@@ -151,7 +155,7 @@ impl GlbScene {
         let splats = primitives.into_iter().map(|(_, s)| s).collect();
         let mut scene = Self { nodes, splats, shown, duration: 0.0 };
         if let Some(animation) = list("animations").first() {
-            scene.animate(animation, reader)?;
+            scene.animate(animation, reader, file_bytes, limits)?;
         }
         for (primitive, node) in &scene.shown {
             scene.depth(*node, src)?;
@@ -224,13 +228,21 @@ impl GlbScene {
         Err(src.malformed(At::Byte(0), format!("nodes below one another, more than {MAX_DEPTH} or in a ring"), ADVICE))
     }
 
-    fn animate(&mut self, animation: &Value, reader: &Reader<'_>) -> Result<(), IoError> {
+    /// Gives nodes their key frames; a sampler is read once, however many channels take it.
+    fn animate(
+        &mut self,
+        animation: &Value,
+        reader: &Reader<'_>,
+        file_bytes: usize,
+        limits: &Limits,
+    ) -> Result<(), IoError> {
+        let (mut tracks, mut keys) = (BTreeMap::<(usize, usize), Arc<Track>>::new(), 0u64);
         let list = |name: &str| animation.get(name).and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
         for channel in list("channels") {
             let node = channel.pointer("/target/node").and_then(index).filter(|k| *k < self.nodes.len());
             let Some(node) = node.and_then(|k| self.nodes.get_mut(k)) else { continue };
             let path = channel.pointer("/target/path").and_then(Value::as_str).unwrap_or_default();
-            let sampler = channel.get("sampler").and_then(index).and_then(|k| list("samplers").get(k));
+            let sampler = channel.get("sampler").and_then(index).and_then(|k| Some((k, list("samplers").get(k)?)));
             let sampler = sampler.ok_or_else(|| reader.src.missing(At::Byte(0), "animations[0].samplers", ADVICE))?;
             let track = match path {
                 "translation" => &mut node.translation,
@@ -238,7 +250,18 @@ impl GlbScene {
                 "scale" => return Err(reader.src.unsupported("an animated scale", "export motions that are rigid")),
                 _ => continue,
             };
-            let read = read_track(sampler, if path == "rotation" { 4 } else { 3 }, reader)?;
+            let width = if path == "rotation" { 4 } else { 3 };
+            let read = match tracks.get(&(sampler.0, width)) {
+                Some(known) => known.clone(),
+                None => {
+                    let read = Arc::new(read_track(sampler.1, width, reader)?);
+                    // Samplers may share their bytes.
+                    keys = keys.saturating_add(read.times.len() as u64);
+                    limits.expansion(reader.src, keys.saturating_mul(KEY_BYTES), file_bytes)?;
+                    tracks.insert((sampler.0, width), read.clone());
+                    read
+                }
+            };
             self.duration = self.duration.max(read.times.last().copied().unwrap_or(0.0));
             *track = Some(read);
         }

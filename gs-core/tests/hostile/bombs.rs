@@ -2,7 +2,7 @@
 
 use crate::guarded;
 use crate::seeds;
-use gs_core::io::{IoError, Limits, npy, parse_cameras, ply, spz};
+use gs_core::io::{IoError, Limits, glb, npy, parse_cameras, ply, spz};
 
 const COUNTS: [&str; 8] = [
     "2147483648",
@@ -54,6 +54,67 @@ fn ply_counts() {
     refused("wide rows", wide.as_bytes(), ply);
     let endless = ["ply\nformat ascii 1.0\n", &"comment x\n".repeat(300_000)].concat();
     assert!(refused("endless header", endless.as_bytes(), ply).contains("does not end"));
+}
+
+/// Samplers that all take the same bytes, one for each of many nodes.
+#[test]
+fn glb_key_frames() {
+    let (keys, samplers) = (20_000usize, 400usize);
+    let times: Vec<u8> = (0..keys).flat_map(|k| (k as f32).to_le_bytes()).collect();
+    let values: Vec<u8> = (0..keys).flat_map(|_| [0.0f32, 0.0, 0.0, 1.0]).flat_map(f32::to_le_bytes).collect();
+    let one = [0.0f32, 0.0, 0.0, 1.0].iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+    let binary = [&one[..], &times, &values].concat();
+    let own = |name: &str| format!("\"KHR_gaussian_splatting:{name}\"");
+    let named = |name: &str, accessor: usize| format!(", {}: {accessor}", own(name));
+    let attributes = "\"POSITION\": 0".to_owned()
+        + &[("ROTATION", 1), ("SCALE", 0), ("OPACITY", 2), ("SH_DEGREE_0_COEF_0", 0)]
+            .map(|(n, a)| named(n, a))
+            .concat();
+    let accessor = |view: usize, count: usize, kind: &str| {
+        format!("{{\"bufferView\": {view}, \"componentType\": 5126, \"count\": {count}, \"type\": \"{kind}\"}}")
+    };
+    let accessors = [
+        accessor(0, 1, "VEC3"),
+        accessor(0, 1, "VEC4"),
+        accessor(0, 1, "SCALAR"),
+        accessor(1, keys, "SCALAR"),
+        accessor(2, keys, "VEC4"),
+    ];
+    let view = |at: usize, length: usize| format!("{{\"buffer\": 0, \"byteOffset\": {at}, \"byteLength\": {length}}}");
+    let views = [view(0, 16), view(16, times.len()), view(16 + times.len(), values.len())];
+    let list = |one: &dyn Fn(usize) -> String| (0..samplers).map(one).collect::<Vec<_>>().join(", ");
+    let nodes = list(&|_| "{\"mesh\": 0}".to_owned());
+    let channels = list(&|k| format!("{{\"sampler\": {k}, \"target\": {{\"node\": {k}, \"path\": \"rotation\"}}}}"));
+    let all = list(&|_| "{\"input\": 3, \"output\": 4}".to_owned());
+    let json = format!(
+        "{{\"asset\": {{\"version\": \"2.0\"}}, \"buffers\": [{{\"byteLength\": {}}}], \"bufferViews\": [{}], \"accessors\": [{}], \
+         \"meshes\": [{{\"primitives\": [{{\"mode\": 0, \"attributes\": {{{attributes}}}, \"extensions\": {{\"KHR_gaussian_splatting\": {{}}}}}}]}}], \
+         \"nodes\": [{nodes}], \"animations\": [{{\"channels\": [{channels}], \"samplers\": [{all}]}}]}}",
+        binary.len(),
+        views.join(", "),
+        accessors.join(", ")
+    );
+    let json = json.into_bytes();
+    let padded = |mut bytes: Vec<u8>, with: u8| {
+        bytes.resize(bytes.len().next_multiple_of(4), with);
+        bytes
+    };
+    let (json, binary) = (padded(json, b' '), padded(binary, 0));
+    let word = |v: usize| u32::try_from(v).expect("small").to_le_bytes();
+    let file = [
+        &b"glTF"[..],
+        &word(2),
+        &word(28 + json.len() + binary.len()),
+        &word(json.len()),
+        b"JSON",
+        &json,
+        &word(binary.len()),
+        b"BIN\0",
+        &binary,
+    ]
+    .concat();
+    let read = |bytes: &[u8]| glb::read_scene(bytes, "b.glb", &Limits::default()).map(|_| ());
+    assert!(refused("400 times 20 000 key frames", &file, read).contains("decoded bytes"));
 }
 
 #[test]
