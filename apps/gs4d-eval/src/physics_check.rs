@@ -30,12 +30,11 @@ pub struct PhysicsOptions {
 }
 
 impl PhysicsOptions {
-    /// Opacity 0.5, distance 0.05; the last training time (at least the time of the particles) and three evenly spaced times
+    /// Opacity 0.5, distance 0.05; the last training time `last` (at least the time of the particles) and three evenly spaced times
     /// from there to the end of the sequence or, if that is reached, to a quarter beyond.
-    pub fn of(particles: &Particles, truth: &Truth) -> Self {
-        let boundary = if truth.options().cameras > 0 { truth.options().boundary } else { 1.0 };
-        let from = boundary.max(particles.at);
-        let end = if from < 1.0 { 1.0 } else { from + 0.25 };
+    pub fn of(particles: &Particles, last: f64) -> Self {
+        let from = last.max(particles.at);
+        let end = if from < 1.0 - 1e-6 { 1.0 } else { from + 0.25 };
         let time = |k: u32| from + (end - from) * f64::from(k) / f64::from(LATER_TIMES);
         Self { opacity: 0.5, tolerance: 0.05, times: (0..=LATER_TIMES).map(time).collect() }
     }
@@ -59,9 +58,9 @@ impl ErrorStats {
         Self { truth: quantile(&mut truths, 0.5), median: quantile(&mut errors, 0.5), p95: quantile(&mut errors, 0.95) }
     }
 
-    /// Median and 95th percentile relative to the true length; `None` where that is zero.
+    /// Median and 95th percentile relative to the true length; `None` where that is zero, up to rounding.
     pub fn relative(&self) -> Option<[f64; 2]> {
-        (self.truth > 0.0).then(|| [self.median / self.truth, self.p95 / self.truth])
+        (self.truth > 1e-9 * (1.0 + self.median)).then(|| [self.median / self.truth, self.p95 / self.truth])
     }
 }
 
@@ -281,7 +280,7 @@ mod tests {
     }
 
     fn report(particles: &Particles, truth: &Truth) -> PhysicsReport {
-        check(particles, truth, &PhysicsOptions::of(particles, truth))
+        check(particles, truth, &PhysicsOptions::of(particles, 0.75))
     }
 
     fn errors_of<'a>(report: &'a PhysicsReport, name: &str) -> &'a BodyErrors {

@@ -140,3 +140,44 @@ fn jpeg(r: &mut (impl Read + Seek)) -> std::io::Result<ImageHeader> {
     }
     Err(ends())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Name and body.
+    type Chunk<'a> = (&'a [u8; 4], &'a [u8]);
+
+    /// A palette file up to its pixels, with these chunks before them; checksums are not read.
+    fn palette(chunks: &[Chunk]) -> ImageHeader {
+        let mut bytes = PNG_SIGNATURE.to_vec();
+        let mut put = |name: &[u8; 4], body: &[u8]| {
+            bytes.extend(u32::try_from(body.len()).unwrap().to_be_bytes());
+            bytes.extend(name);
+            bytes.extend(body);
+            bytes.extend([0; 4]);
+        };
+        put(b"IHDR", &[0, 0, 0, 5, 0, 0, 0, 3, 8, 3, 0, 0, 0]);
+        chunks.iter().for_each(|(name, body)| put(name, body));
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), bytes).unwrap();
+        read(file.path()).unwrap()
+    }
+
+    #[test]
+    fn palettes_are_transparent_where_a_chunk_before_the_pixels_says_so() {
+        let colours = (b"PLTE", &[1, 2, 3, 4, 5, 6][..]);
+        let (clear, pixels) = ((b"tRNS", &[0, 255][..]), (b"IDAT", &[0][..]));
+        let kinds: [(&[Chunk], bool); 5] = [
+            (&[colours, clear, pixels], true),
+            (&[(b"tEXt", &[9; 300]), colours, clear, pixels], true),
+            (&[colours, pixels], false),
+            (&[colours, pixels, clear], false),
+            (&[colours], false),
+        ];
+        for (chunks, transparent) in kinds {
+            let header = palette(chunks);
+            assert_eq!((header.width, header.height, header.has_alpha), (5, 3, transparent), "{chunks:?}");
+        }
+    }
+}

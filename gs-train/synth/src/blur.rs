@@ -12,8 +12,8 @@ use crate::save::{save_json, save_png};
 use glam::{DQuat, DVec3};
 use gs_core::{Camera, Rng, cast};
 use gs_data::{DataError, ImageSource, ImageU8, View, moments};
-use rayon::prelude::*;
 use serde::Serialize;
+use std::borrow::Borrow;
 use std::path::Path;
 
 /// Length of the exposure and motion of the camera during it.
@@ -69,9 +69,10 @@ impl Exposure {
     }
 
     /// The mean of images of one size; empty for none.
-    pub fn mean<'a>(&self, images: impl IntoIterator<Item = &'a ImageU8>) -> ImageU8 {
+    pub fn mean(&self, images: impl IntoIterator<Item: Borrow<ImageU8>>) -> ImageU8 {
         let (mut sums, mut out, mut n) = (Vec::new(), ImageU8::default(), 0.0);
         for image in images {
+            let image = image.borrow();
             (out.width, out.height) = (image.width, image.height);
             sums.resize(image.data.len() / 4, [0.0f64; 4]);
             n += 1.0;
@@ -110,12 +111,10 @@ impl Exposure {
     /// The image of a view of a generated scene with this exposure. `number` is the index of the view, for its axis.
     pub fn render(&self, data: &SynthData, view: &View, number: u64) -> ImageU8 {
         let time = if data.truth.dynamic() { f64::from(view.time.normalised) } else { 0.0 };
-        let images: Vec<ImageU8> = self
-            .pictures(&view.camera, time, number)
-            .par_iter()
-            .map(|(t, camera)| data.truth.picture(camera, *t))
-            .collect();
-        self.mean(&images)
+        // One after the other: many of them do not fit into memory at once, and each is made by all threads.
+        self.mean(
+            self.pictures(&view.camera, time, number).into_iter().map(|(t, camera)| data.truth.picture(&camera, t)),
+        )
     }
 }
 
@@ -126,9 +125,9 @@ impl Exposure {
 /// `data.option` for a field out of its domain, `io.write` if a file cannot be written.
 pub fn blur_training_views(dir: &Path, data: &mut SynthData, exposure: &Exposure) -> Result<(), DataError> {
     exposure.check()?;
-    let blurred: Vec<ImageU8> =
-        data.dataset.train.iter().enumerate().map(|(k, v)| exposure.render(data, v, k as u64)).collect();
-    for (view, image) in data.dataset.train.iter_mut().zip(blurred) {
+    for k in 0..data.dataset.train.len() {
+        let image = exposure.render(data, &data.dataset.train[k], k as u64);
+        let view = &mut data.dataset.train[k];
         let file = dir.join("train").join(format!("{}.png", view.name));
         save_png(&file, &image)?;
         view.image = ImageSource::Memory(std::sync::Arc::new(image));
@@ -160,7 +159,8 @@ mod tests {
         assert_eq!(linear.mean([&black, &white]).data, [188, 188, 188, 255], "half the light is 0.735 in sRGB");
         let nothing = pixel([9, 9, 9, 0]);
         assert_eq!(STILL.mean([&pixel([200, 100, 0, 255]), &nothing]).data, [200, 100, 0, 128]);
-        assert_eq!(STILL.mean([]), ImageU8::default());
+        let none: [ImageU8; 0] = [];
+        assert_eq!(STILL.mean(none), ImageU8::default());
         for v in 0..=255u8 {
             let one = pixel([v, 255 - v, 7, 255]);
             assert_eq!(linear.mean([&one, &one, &one]), one, "decoding and encoding are inverse");

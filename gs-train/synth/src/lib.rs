@@ -30,7 +30,7 @@
 //! which the last are held out for extrapolation.
 //!
 //! # Conventions
-//! Those of [`gs_core`] and [`gs_data`]. World +z is up; every scene fits in the cube `[-1.3, 1.3]³` ([`HALF_SIDE`]), cameras
+//! Those of [`gs_core`] and [`gs_data`]. World +z is up; every scene fits in the cube `[-1.3, 1.3]³` ([`HALF_SIDE`]), a variant may reach 1.32, cameras
 //! look at the origin from a distance of 4 ([`CAMERA_RADIUS`]). Time is normalised to 0..1, velocities are per unit of it. Geometry
 //! is `f64`. The result is a function of the options alone, bit for bit, for any number of threads.
 //!
@@ -97,7 +97,7 @@ pub struct SynthOptions {
     pub boundary: f64,
     /// Seed of the camera positions.
     pub seed: u64,
-    /// Variant of the scene: 0 as designed, others turned about z, at another pace (0.75 to 1.1), with other colours and patterns.
+    /// Variant of the scene: 0 as designed, others turned about z, at another pace (0.75 to 1.1), most with other colours and patterns.
     #[serde(skip_serializing_if = "is_zero")]
     pub variant: u64,
     /// Samples per pixel along each axis, 1 to 16; scenes with fine texture use at least [`SynthScene::least_supersample`].

@@ -153,7 +153,11 @@ impl Truth {
             let from = DVec2::new((k % width) as f64 + 0.5, (k / width) as f64 + 0.5);
             map.flow.data[2 * k] = cast::to_f32(to.x - from.x);
             map.flow.data[2 * k + 1] = cast::to_f32(to.y - from.y);
-            let again = target.hit(to.x, to.y);
+            let inside = moved.z > 0.0
+                && to.cmpge(DVec2::ZERO).all()
+                && to.x < f64::from(after.width)
+                && to.y < f64::from(after.height);
+            let again = inside.then(|| target.hit(to.x, to.y)).flatten();
             map.visible_after
                 .push(again.is_some_and(|h| h.body == hit.body && (h.depth - moved.z).abs() < SAME_SURFACE));
         }

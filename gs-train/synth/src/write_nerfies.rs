@@ -5,6 +5,7 @@
 //! scene.json                      the frame of the files is the world of truth.json: centre 0, scale 1
 //! camera/ID.json                  pose, intrinsics and distortion at full size
 //! rgb/1x/ID.png, rgb/2x/ID.png    over white: the layout has no alpha
+//! extra.json                      time ids per unit of the scene's time
 //! points.npy                      [P, 3] surface points visible to training cameras, all at time 0
 //! truth.json                      ground truth
 //! ```
@@ -67,6 +68,8 @@ pub fn write_nerfies(dir: &Path, name: &str, options: &SynthOptions, overwrite: 
     save_json(&dir.join("dataset.json"), &lists(&entries))?;
     save_json(&dir.join("metadata.json"), &tags(&entries))?;
     save_json(&dir.join("scene.json"), &frame())?;
+    // So the data's own clock is that of the truth.
+    save_json(&dir.join("extra.json"), &json!({"fps": ids.per_unit()}))?;
     save_json(&dir.join("truth.json"), &truth_json(&data.truth))?;
     save_points(&dir.join("points.npy"), &data)?;
     Ok(data)
@@ -76,6 +79,8 @@ pub fn write_nerfies(dir: &Path, name: &str, options: &SynthOptions, overwrite: 
 struct TimeIds {
     train: u64,
     test: u64,
+    /// Number of those halves in the sequence.
+    halves: u64,
 }
 
 impl TimeIds {
@@ -88,7 +93,12 @@ impl TimeIds {
                 format!("so many that {} training views and they have a common clock of 32 bits", options.train_views);
             return Err(DataError::Option { name: "test_views", value: options.test_views.to_string(), rule });
         }
-        Ok(Self { train: last / steps, test: last / halves })
+        Ok(Self { train: last / steps, test: last / halves, halves })
+    }
+
+    /// Ids from time 0 to 1.
+    fn per_unit(&self) -> u64 {
+        self.test * self.halves
     }
 }
 

@@ -161,7 +161,8 @@ fn physics(run: &OpenRun) -> Option<PhysicsReport> {
     let truth = synth::truth_of(Path::new(&run.resolved.run.data))?;
     let dataset = run.open_data().ok()?;
     let same_clock = dataset.train.iter().all(|v| (f64::from(v.time.normalised) - v.time.seconds).abs() < 1e-6);
-    same_clock.then(|| physics_check::check(&particles, &truth, &PhysicsOptions::of(&particles, &truth)))
+    let options = PhysicsOptions::of(&particles, run.loaded.scene.last_time.into());
+    same_clock.then(|| physics_check::check(&particles, &truth, &options))
 }
 
 fn file_bytes(path: &Path) -> Result<usize, Failure> {

@@ -1,13 +1,13 @@
 //! `gs4d synth`: writes a generated scene with exact ground truth as a dataset.
 
 use crate::answer::Answer;
-use crate::failure::Failure;
+use crate::failure::{Class, Failure};
 use crate::global::Global;
 use gs_synth::blur::{Exposure, blur_training_views};
 use gs_synth::gains::{self, spread_exposures};
 use gs_synth::{self as synth, SCENES, SynthOptions};
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 pub mod avatar;
 
@@ -69,7 +69,7 @@ pub struct Synth {
     /// Seed of the cameras.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Variant of the scene: 0 as designed; others turned, at another pace, in other colours and patterns.
+    /// Variant of the scene: 0 as designed; others turned, at another pace, most in other colours and patterns.
     #[arg(long, value_name = "N", default_value_t = 0)]
     variant: u64,
     /// Give the training views motion blur: how long the shutter is open, normalised time (0..1).
@@ -115,6 +115,7 @@ impl Synth {
                     "--cameras, --lens, --exposure, --gains, --variant and --layout are not for the scene avatar";
                 return Err(Failure::usage(what).remedy("choose its cameras with --cams, for example --cams 8x2"));
             }
+            self.check_left(out, &["scene.json", "cameras.json", if self.truth { "gt" } else { "" }])?;
             let Self { size, seed, truth, force, .. } = self;
             return self.avatar.run(out, Shared { size, seed, truth, force }, global);
         }
@@ -130,12 +131,16 @@ impl Synth {
         });
         exposure.iter().try_for_each(Exposure::check)?;
         self.gains.map_or(Ok(()), gains::check)?;
+        self.check_left(out, &self.writes())?;
         let mut data = match self.layout {
             Layout::Nerfies if self.gains.is_some() => {
                 return Err(Failure::usage("gains are for the layout dnerf").remedy("leave out --gains"));
             }
             Layout::Nerfies if exposure.is_some() => {
                 return Err(Failure::usage("motion blur is for the layout dnerf").remedy("leave out --exposure"));
+            }
+            Layout::Nerfies if self.truth => {
+                return Err(Failure::usage("maps are for the layout dnerf").remedy("leave out --truth"));
             }
             Layout::Nerfies => synth::write_nerfies(out, name, &options, self.force)?,
             Layout::Dnerf => synth::write(out, name, &options, self.force)?,
@@ -166,6 +171,35 @@ impl Synth {
         Ok(Answer::new(text, json))
     }
 
+    /// The files among [`KNOWN`] that this call writes.
+    fn writes(&self) -> Vec<&'static str> {
+        if self.layout == Layout::Nerfies {
+            return vec!["truth.json", "dataset.json", "metadata.json", "scene.json", "points.npy", "extra.json"];
+        }
+        let moves = SCENES.iter().any(|s| self.name.as_deref() == Some(s.name) && s.dynamic);
+        let also = [
+            (self.cameras.is_none(), "transforms_val.json"),
+            (self.cameras.is_some() && moves, "scene.toml"),
+            (self.exposure.is_some(), "exposure.json"),
+            (self.gains.is_some(), "gains.json"),
+            (self.truth, "maps"),
+        ];
+        let also = also.into_iter().filter(|(written, _)| *written).map(|(_, file)| file);
+        ["truth.json", "transforms_train.json", "transforms_test.json"].into_iter().chain(also).collect()
+    }
+
+    /// Fails where a file of an earlier data set would stay beside those that are written, and be read with them.
+    fn check_left(&self, out: &Path, writes: &[&str]) -> Result<(), Failure> {
+        let stays = KNOWN.iter().filter(|file| self.force && !writes.contains(file)).map(|file| out.join(file));
+        match stays.into_iter().find(|file| file.exists()) {
+            None => Ok(()),
+            Some(file) => Err(Failure::new(Class::Io, "io.exists", "a file of an earlier data set would stay")
+                .place(file.display())
+                .why("it would be read with the new one")
+                .remedy("choose another folder with -o, or remove it")),
+        }
+    }
+
     fn options(&self) -> SynthOptions {
         let default = SynthOptions::default();
         SynthOptions {
@@ -184,6 +218,25 @@ impl Synth {
         }
     }
 }
+
+/// Files by which a data set or its truth is known.
+const KNOWN: [&str; 15] = [
+    "truth.json",
+    "transforms_train.json",
+    "transforms_val.json",
+    "transforms_test.json",
+    "scene.toml",
+    "dataset.json",
+    "metadata.json",
+    "scene.json",
+    "cameras.json",
+    "points.npy",
+    "extra.json",
+    "exposure.json",
+    "gains.json",
+    "maps",
+    "gt",
+];
 
 fn list() -> Answer {
     let scenes = SCENES.iter().map(|s| (s.name, s.about, s.dynamic)).chain([(avatar::NAME, avatar::ABOUT, true)]);

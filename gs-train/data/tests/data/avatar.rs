@@ -507,6 +507,8 @@ fn options_choose_views_but_not_inputs() {
     assert_eq!(scene(&slow).frames[4].time.seconds, 2.0);
     let e = with(DataOptions { time_from: TimeFrom::Order, ..d() }).unwrap_err();
     names(&e, "data.option", &["data.time_from"]);
+    let e = with(DataOptions { time_shift: Some("2:1".parse().unwrap()), ..d() }).unwrap_err();
+    names(&e, "data.option", &["data.time_shift", "renumber"]);
     let ood = json!({"train": [0, 1, 2], "test": [3], "ood": [4]});
     let mut scene_json: Value = serde_json::from_slice(&std::fs::read(dir.path().join("scene.json")).unwrap()).unwrap();
     scene_json["splits"] = ood;

@@ -27,6 +27,35 @@ fn nerfstudio_masks_say_what_counts() {
     assert_eq!(f.open(&DataOptions::default()).unwrap_err().code(), "data.escape");
 }
 
+/// A camera held upright stores its pixels lying down and says so by EXIF; the mask is as the image is looked at.
+#[test]
+fn masks_of_turned_images_are_upright() {
+    let f = Folder::new(3, "png");
+    let mut j = f.nerfstudio();
+    j["frames"][2]["mask_path"] = json!("masks/f002.png");
+    f.put("transforms.json", j.to_string());
+    std::fs::create_dir(f.path().join("masks")).unwrap();
+    let left = |x: u32, _| image::Luma([if x < 20 { 255u8 } else { 0 }]);
+    image::GrayImage::from_fn(40, 30, left).save(f.path().join("masks/f002.png")).unwrap();
+    // Turned by 90 degrees to the right, the lower half comes to the left.
+    let lower = |_, y: u32| image::Rgb(if y >= 20 { [200u8; 3] } else { [20; 3] });
+    let mut jpeg = Vec::new();
+    let mut encoder = image::codecs::jpeg::JpegEncoder::new(&mut jpeg);
+    let turned = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0";
+    image::ImageEncoder::set_exif_metadata(&mut encoder, turned.to_vec()).unwrap();
+    encoder.encode_image(&image::RgbImage::from_fn(30, 40, lower)).unwrap();
+    f.put("images/f002.png", jpeg);
+    let d = f.open(&DataOptions::default()).unwrap();
+    let view = d.train.iter().chain(&d.test).find(|v| v.mask.is_some()).unwrap();
+    let images = ImageCache::new(1 << 20, 1.0);
+    let (image, weights) = (images.get(view).unwrap(), images.mask(view).unwrap().unwrap());
+    assert_eq!([image.width, image.height], [40, 30]);
+    for x in [3, 36] {
+        assert_eq!(weights.pixel(x, 3)[0] == 1.0, image.pixel(x, 3)[0] > 100, "column {x}");
+    }
+    assert!(image.pixel(3, 3)[0] > 100 && image.pixel(36, 3)[0] < 100);
+}
+
 #[test]
 fn masks_are_in_the_loss_where_that_is_asked_for() {
     let f = Folder::new(3, "png");

@@ -56,6 +56,8 @@ fn cameras_times_and_lens_return() {
             for (k, (made, read)) in pairs(&made, &read).into_iter().enumerate() {
                 worst = worst.max(apart(&made.camera.scaled(scale), &read.camera));
                 assert!((made.time.normalised - read.time.normalised).abs() < 1e-7, "{:?} {:?}", made.time, read.time);
+                let [truth, own] = [made, read].map(|v| v.time.seconds);
+                assert!((truth - own).abs() < 1e-7, "the clock is that of the truth: {truth} {own}");
                 assert_eq!((read.camera_id, read.lens.is_some()), (u32::from(k >= 5), lens));
                 let coefficients = |v: &View| v.lens.unwrap_or_default().to_array();
                 let near = coefficients(made).iter().zip(coefficients(read)).all(|(a, b)| (a - b).abs() < 1e-12);
