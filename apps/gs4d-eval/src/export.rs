@@ -70,6 +70,8 @@ pub enum ExportError {
 pub struct Baker<'a> {
     method: &'a Model,
     cameras: Vec<Camera>,
+    /// Every pose of a training camera, once: a splat is as large as the nearest sees it.
+    poses: Vec<Camera>,
     degree: Option<u8>,
     turn: Option<Mat3<f64>>,
 }
@@ -83,7 +85,14 @@ impl<'a> Baker<'a> {
     pub fn new(method: &'a Model, views: &[View], degree: Option<u8>) -> Self {
         let kept = views.len().clamp(1, MAX_CAMERAS);
         let cameras = (0..kept).filter_map(|k| views.get(k * views.len() / kept)).map(|v| v.camera.clone()).collect();
-        Self { method, cameras, degree: degree.map(|d| d.min(sh::MAX_DEGREE)), turn: None }
+        let mut poses: Vec<Camera> = Vec::new();
+        for view in views {
+            // Cameras at rest come again with every moment.
+            if !poses.contains(&view.camera) {
+                poses.push(view.camera.clone());
+            }
+        }
+        Self { method, cameras, poses, degree: degree.map(|d| d.min(sh::MAX_DEGREE)), turn: None }
     }
 
     /// The same with scenes turned by a rotation, by rows ([`gs_core::io::upright`]).

@@ -261,7 +261,7 @@ pub(crate) fn flat(color: &Color, i: usize) -> [f32; 3] {
     }
 }
 
-/// The mean coefficients over time in 1/64; the first is what the colour of degree 0 exceeds 0..1 by, in the middle of its range.
+/// The mean coefficients over time in 1/64; the first is by how much the middle of the range of the colour of degree 0 is off ½, where that range leaves 0..1.
 fn harmonics(frames: &Frames) -> Vec<i8> {
     let width = frames.middle().color.width();
     let byte = |v: f32| (v * SH_STEPS).round().clamp(-127.0, 127.0) as i8;
@@ -272,7 +272,7 @@ fn harmonics(frames: &Frames) -> Vec<i8> {
             let [low, high] = all.fold([f32::INFINITY, f32::NEG_INFINITY], |[a, b], v| [a.min(v), b.max(v)]);
             let inside = low >= 0.0 && high <= 1.0;
             let half = 0.5 * (low + high);
-            out.push(if inside { 0 } else { byte(half - half.clamp(0.0, 1.0)) });
+            out.push(if inside { 0 } else { byte(half - 0.5) });
         }
         out.extend((3..width).map(|k| byte(mean_coefficient(frames, i, k))));
     }

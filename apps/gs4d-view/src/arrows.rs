@@ -30,7 +30,7 @@ pub(crate) fn arrows(shot: &Shot) -> Result<Value, String> {
     let some: Vec<usize> =
         (0..all.len().min(MAX_ARROWS)).map(|k| all[k * all.len() / all.len().min(MAX_ARROWS)]).collect();
     let half = HALF_STEP * shot.show.interval();
-    let at = |d: f32| shot.scene.all_splats(shot.time + d, camera);
+    let at = |d: f32| shot.all_splats_at(shot.time + d);
     let (before, after) = (at(-half)?, at(half)?);
     let seconds = 2.0 * half * cast::to_f32(shot.show.seconds());
     let shift = |i: usize| Some(*after.means.get(i)? - *before.means.get(i)?);

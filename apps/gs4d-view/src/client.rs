@@ -1,7 +1,7 @@
 //! One browser: its questions come in, of which the newest counts; answers and news go out.
 
 use crate::outbox::Sending;
-use crate::question::{Demand, MAX_NESTING, Question, nesting};
+use crate::question::{Demand, MAX_NESTING, Question, Save, nesting};
 use crate::server::Shared;
 use axum::extract::ws::{CloseFrame, Message, WebSocket};
 use serde_json::{Value, json};
@@ -54,7 +54,7 @@ enum Answer {
 /// Serves one browser until it leaves, breaks a limit, or does not read. One image at a time is rendered or sent.
 pub(crate) async fn serve(mut socket: WebSocket, shared: &Arc<Shared>) {
     let (mut news, mut listed) = (shared.news.subscribe(), shared.listed.subscribe());
-    let mut greeting = shared.stage.about();
+    let Some(mut greeting) = about(shared).await else { return };
     greeting["version"] = json!(env!("CARGO_PKG_VERSION"));
     if let Value::Object(training) = shared.training() {
         greeting.as_object_mut().into_iter().for_each(|all| all.extend(training.clone()));
@@ -74,6 +74,7 @@ pub(crate) async fn serve(mut socket: WebSocket, shared: &Arc<Shared>) {
                 Some(Ok(Message::Text(text))) if nesting(&text) <= MAX_NESTING => match Demand::parse(&text) {
                     Ok(Demand::Pause { pause }) => {
                         shared.pause(pause);
+                        (asked, heard) = (Instant::now(), Instant::now());
                         true
                     }
                     Ok(Demand::Image(question)) => {
@@ -81,7 +82,7 @@ pub(crate) async fn serve(mut socket: WebSocket, shared: &Arc<Shared>) {
                         (asked, heard) = (Instant::now(), Instant::now());
                         true
                     }
-                    Err(why) => send(&mut socket, &json!({"error": why})).await,
+                    Err(why) => send(&mut socket, &json!({"id": id_of(&text), "error": why})).await,
                 },
                 Some(Ok(Message::Ping(_) | Message::Pong(_))) => {
                     heard = Instant::now();
@@ -90,8 +91,8 @@ pub(crate) async fn serve(mut socket: WebSocket, shared: &Arc<Shared>) {
                 _ => break,
             },
             _ = pulse.tick() => {
-                let dead = heard.elapsed() > PULSE[1] || asked.elapsed() > IDLE_TIMEOUT;
-                !dead && ping(&mut socket).await
+                let paused = shared.paused.load(Ordering::SeqCst);
+                !is_gone(heard.elapsed(), asked.elapsed(), paused) && ping(&mut socket).await
             }
             Some(answer) = rendering.join_next() => match answer {
                 Ok(Some(Answer::Text(text))) => send(&mut socket, &text).await,
@@ -106,7 +107,10 @@ pub(crate) async fn serve(mut socket: WebSocket, shared: &Arc<Shared>) {
             },
             Ok(()) = listed.changed() => {
                 listed.borrow_and_update();
-                send(&mut socket, &json!({"listed": shared.stage.about()["shows"]})).await
+                match about(shared).await {
+                    Some(all) => send(&mut socket, &json!({"listed": all["shows"]})).await,
+                    None => false,
+                }
             }
             Ok(()) = news.changed() => {
                 let text = news.borrow_and_update().clone();
@@ -120,12 +124,29 @@ pub(crate) async fn serve(mut socket: WebSocket, shared: &Arc<Shared>) {
     }
 }
 
+/// Whether a browser has to go: it gives no sign of life, or asks for nothing for long. While a training is paused it may be silent: the pause
+/// lasts until the last browser leaves.
+fn is_gone(heard: Duration, asked: Duration, paused: bool) -> bool {
+    heard > PULSE[1] || (asked > IDLE_TIMEOUT && !paused)
+}
+
+/// What a page is told of all shows.
+async fn about(shared: &Arc<Shared>) -> Option<Value> {
+    let state = shared.clone();
+    tokio::task::spawn_blocking(move || state.in_pool(|| state.stage.about())).await.ok()
+}
+
+/// The id of a question that is refused.
+fn id_of(text: &str) -> Option<u64> {
+    serde_json::from_str::<Value>(text).ok()?["id"].as_u64()
+}
+
 /// Waits for a turn and answers the newest question, in a task that ends also if the browser leaves. The turn is kept until the
 /// share of the machine allows the next image.
 async fn rendered(shared: Arc<Shared>, newest: Newest, pixels: u64) -> Option<Answer> {
     let turn = shared.turns.wait(pixels).await?;
     let question = newest.lock().unwrap_or_else(PoisonError::into_inner).take()?;
-    let (done, answered) = oneshot::channel();
+    let (id, (done, answered)) = (question.id, oneshot::channel());
     tokio::spawn(async move {
         let state = shared.clone();
         let work = tokio::task::spawn_blocking(move || answer(&state, &question)).await;
@@ -137,7 +158,7 @@ async fn rendered(shared: Arc<Shared>, newest: Newest, pixels: u64) -> Option<An
         }
         drop(turn);
     });
-    let failed = || Answer::Text(json!({"error": "the image could not be rendered"}));
+    let failed = || Answer::Text(json!({"id": id, "error": "the image could not be rendered"}));
     Some(answered.await.ok().flatten().unwrap_or_else(failed))
 }
 
@@ -156,7 +177,11 @@ fn answer(shared: &Arc<Shared>, question: &Question) -> Answer {
                 return Answer::Text(json!({"id": question.id, "error": "the file is larger than 4 GiB"}));
             };
             let lengths = [head.to_le_bytes(), body.to_le_bytes()];
-            Answer::Bytes(shared.outbox.put([lengths.as_flattened(), &header, &answer.bytes].concat()))
+            let all = [lengths.as_flattened(), &header, &answer.bytes].concat();
+            match shared.outbox.put(all, question.save == Some(Save::Splats)) {
+                Some(sending) => Answer::Bytes(sending),
+                None => Answer::Text(json!({"id": question.id, "later": true})),
+            }
         }
         Err(why) => Answer::Text(json!({"id": question.id, "error": why})),
     }
@@ -190,4 +215,16 @@ async fn ping(socket: &mut WebSocket) -> bool {
 /// Sends a text; false if the browser does not take it.
 async fn send_text(socket: &mut WebSocket, text: String) -> bool {
     matches!(tokio::time::timeout(SEND_TIMEOUT, socket.send(Message::Text(text.into()))).await, Ok(Ok(())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_holds_a_training_may_be_silent_but_not_dead() {
+        let (now, long) = (Duration::ZERO, 2 * IDLE_TIMEOUT);
+        assert!(!is_gone(now, long, true) && is_gone(now, long, false));
+        assert!(is_gone(2 * PULSE[1], now, true) && is_gone(2 * PULSE[1], now, false) && !is_gone(now, now, false));
+    }
 }

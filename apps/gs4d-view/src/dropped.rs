@@ -53,7 +53,7 @@ pub(crate) async fn take(
         let read = || parse_splats(&bytes, &name, &limits).and_then(|raw| Ok(raw.to_splats()?));
         let splats = state.in_pool(read).map_err(|e| e.to_string())?;
         Ok(state.stage.add(Show::splats(name.clone(), splats), MAX_SHOWS).map(|number| {
-            let mut about = state.stage.about();
+            let mut about = state.in_pool(|| state.stage.about());
             state.listed.send_replace(());
             about["number"] = json!(number);
             about.to_string()

@@ -11,7 +11,7 @@
 //! * [`Feed`]: a run while it trains; [`LiveFilm`]: a person whose frames arrive in a folder.
 //!
 //! A training must not suffer from those who watch it: at most 64 connections are open; a request has a time limit; one image
-//! is rendered at a time and one is on its way to each browser; at most 64 MiB of answers wait for slow readers.
+//! is rendered at a time and one is on its way to each browser; at most 64 MiB of images and as many of splats wait for slow readers.
 //!
 //! One page of plain HTML, script and style is embedded; nothing is loaded from elsewhere.
 #![warn(unreachable_pub)]

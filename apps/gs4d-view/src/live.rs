@@ -173,7 +173,7 @@ fn build(
         match shared.in_pool(|| load_with(registry, &copy, None, avatar.cloned())) {
             Ok(loaded) => {
                 shared.stage.shows()[0].replace(Scene::method(loaded.model));
-                let news = progress_message(progress, shared, history);
+                let news = shared.in_pool(|| progress_message(progress, shared, history));
                 *shared.last_news.lock().unwrap_or_else(PoisonError::into_inner) = Some(news);
                 shared.tell();
             }

@@ -21,7 +21,7 @@ pub(crate) fn pick(shot: &Shot, at: [f32; 2]) -> Result<Value, String> {
     let pixel = [place(at[0], camera.width), place(at[1], camera.height)];
     let index = pixel[1] * camera.width as usize + pixel[0];
     let splats = shot.all_splats()?;
-    let mut grey = splats.clone().into_owned();
+    let mut grey = shot.style.of(splats.clone().into_owned(), camera);
     grey.color = Color::Rgb(vec![[0.5; 3]; splats.len()]);
     let mut workspace = Workspace::new();
     // The whole image: a camera of one pixel would have another frustum, and splats at its rim another shape.
@@ -54,7 +54,7 @@ fn paths(shot: &Shot, of: &[usize]) -> Result<Vec<Vec<[f32; 3]>>, String> {
     let n = if shot.show.moving() && !of.is_empty() { PATH_POINTS } else { 1 };
     let mut paths = vec![Vec::with_capacity(n); of.len()];
     for k in 0..n {
-        let splats = shot.scene.all_splats(k as f32 / (n.max(2) - 1) as f32, &shot.camera)?;
+        let splats = shot.all_splats_at(k as f32 / (n.max(2) - 1) as f32)?;
         for (path, &i) in paths.iter_mut().zip(of) {
             path.extend(splats.means.get(i).map(|m| m.to_array()));
         }

@@ -12,7 +12,7 @@ use crate::stage::Stage;
 use crate::style::Style;
 use gs_core::{Camera, Image, Splats};
 use gs_metrics::{half_size, psnr};
-use gs_raster::{DeviceError, Frame, Rasterizer};
+use gs_raster::{DeviceError, Frame, RasterOptions, Rasterizer};
 use gs_train::device::Device;
 use gs_train::evaluate::clamped;
 use gs_train::palette::color_scale;
@@ -154,6 +154,8 @@ impl Renderer {
         };
         header["splats"] = json!(splats.len());
         header["background"] = json!(shot.background());
+        let RasterOptions { near, dilation, antialias, .. } = shot.options();
+        header["raster"] = json!({"near": near, "dilation": dilation, "antialias": antialias});
         Ok(Answer { bytes: gs4d_player::words::bytes(&shot.style.of(splats, &shot.camera), &shot.camera), header })
     }
 

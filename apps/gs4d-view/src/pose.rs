@@ -23,10 +23,13 @@ pub struct Posing {
 }
 
 impl Posing {
-    /// Whether angles, times and their number are within limits.
-    pub(crate) fn is_sound(&self) -> bool {
+    /// Checks that angles, times and their number are within limits.
+    pub(crate) fn check(&self) -> Result<(), String> {
         let angles_ok = self.turns.iter().flat_map(|t| t.1).all(|angle| angle.abs() <= 10.0);
-        angles_ok && self.turns.len() <= MAX_ROTATIONS && self.from.is_none_or(|t| t.abs() <= 100.0)
+        match angles_ok && self.turns.len() <= MAX_ROTATIONS && self.from.is_none_or(|t| t.abs() <= 100.0) {
+            true => Ok(()),
+            false => Err("a pose turns a few joints by at most 10 radians".into()),
+        }
     }
 
     /// The pose of `avatar`, whose images are those at the normalised time `time`.

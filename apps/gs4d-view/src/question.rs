@@ -17,7 +17,7 @@ const MAX_TIME: f32 = 100.0;
 /// Deepest nesting of brackets in a question.
 pub(crate) const MAX_NESTING: usize = 16;
 /// Most boxes of hidden splats.
-const MAX_BOXES: usize = 16;
+pub(crate) const MAX_BOXES: usize = 16;
 /// Largest gain of differences.
 const MAX_GAIN: f32 = 100.0;
 
@@ -150,6 +150,9 @@ pub struct Choice {
     pub height: u32,
     /// Left, top, right, bottom as shares of the image, 0..1.
     pub at: [f32; 4],
+    /// Pose of an avatar in the image; `None`: the pose at `time`.
+    #[serde(default)]
+    pub pose: Option<Posing>,
 }
 
 /// What is saved.
@@ -211,9 +214,7 @@ impl Question {
         if question.gain.is_nan() || question.gain.abs() > MAX_GAIN {
             return Err(format!("differences are shown up to {MAX_GAIN} times as strong"));
         }
-        if question.pose.as_ref().is_some_and(|p| !p.is_sound()) {
-            return Err("a pose turns a few joints by at most 10 radians".into());
-        }
+        question.pose.iter().try_for_each(Posing::check)?;
         if question.background.is_some_and(|b| b.iter().any(|v| !(0.0..=1.0).contains(v))) {
             return Err("a background has three values from 0 to 1".into());
         }
@@ -251,6 +252,7 @@ impl Choice {
     fn check(&self) -> Result<(), String> {
         check_size(self.width, self.height)?;
         check_time(self.time)?;
+        self.pose.iter().try_for_each(Posing::check)?;
         let [left, top, right, bottom] = self.at;
         let inside = self.at.iter().all(|v| (0.0..=1.0).contains(v)) && left <= right && top <= bottom;
         if inside { Ok(()) } else { Err("a box lies inside the picture".into()) }

@@ -1,9 +1,9 @@
 //! One state of a show: a trained method, or static splats.
 
+use crate::pose::Posing;
 use gs_core::{Camera, Splats};
 use gs_method_texel::Dut;
 use gs_train::capabilities::Quantity;
-use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::timestamp::Timestamp;
 use gs4d_eval::layers;
@@ -91,11 +91,19 @@ impl Scene {
         }
     }
 
-    /// All splats, in the same order at every time.
+    /// All splats, in the same order at every time; an avatar in another pose than that of the time, if one is given.
     ///
     /// # Errors
     /// A message, if the method cannot compute them.
-    pub(crate) fn all_splats(&self, time: f32, camera: &Camera) -> Result<Cow<'_, Splats>, String> {
+    pub(crate) fn all_splats(
+        &self,
+        time: f32,
+        camera: &Camera,
+        pose: Option<&Posing>,
+    ) -> Result<Cow<'_, Splats>, String> {
+        if let (Some(posing), Some(avatar)) = (pose, self.avatar()) {
+            return owned(avatar.posed(&Timestamp::normalised(time), &posing.of(avatar, time)?));
+        }
         match &self.source {
             Source::Method(method) => owned(method.all_splats(&Timestamp::normalised(time), camera)),
             Source::Splats(splats) => Ok(Cow::Borrowed(splats)),
@@ -130,6 +138,6 @@ impl Scene {
     }
 }
 
-fn owned<'a>(splats: Result<Splats, MethodError>) -> Result<Cow<'a, Splats>, String> {
+fn owned<'a>(splats: Result<Splats, impl std::fmt::Display>) -> Result<Cow<'a, Splats>, String> {
     splats.map(Cow::Owned).map_err(|e| e.to_string())
 }

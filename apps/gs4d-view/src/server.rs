@@ -73,7 +73,7 @@ impl Server {
         self.shared.tell();
     }
 
-    /// Bytes of answers that wait for browsers to read them: at most 64 MiB, or one answer.
+    /// Bytes of answers that wait for browsers to read them: at most 64 MiB of images and as many of splats, or one answer of each.
     pub fn queued_bytes(&self) -> usize {
         self.shared.outbox.bytes()
     }

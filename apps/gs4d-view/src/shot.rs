@@ -1,20 +1,19 @@
 //! A scene with camera, time, pose and hidden splats: everything needed to render one image.
 
-use crate::question::{Choice, Question, Target};
+use crate::pose::Posing;
+use crate::question::{Choice, MAX_BOXES, Question, Target};
 use crate::scene::Scene;
 use crate::stage::{Show, Stage};
 use crate::style::Style;
 use gs_core::{Camera, Splats};
 use gs_raster::RasterOptions;
-use gs_texel::Pose;
-use gs_train::timestamp::Timestamp;
 use std::borrow::Cow;
 use std::sync::Arc;
 
 /// Splats with a lower opacity are not rendered: 1/255.
 pub(crate) const MIN_OPACITY: f32 = 1.0 / 255.0;
-/// Cached selections.
-const CACHE_SIZE: usize = 16;
+/// Cached selections: those of one image of two sides.
+const CACHE_SIZE: usize = 2 * (MAX_BOXES + 1);
 
 /// A target with its camera and time.
 #[derive(Clone)]
@@ -27,8 +26,8 @@ pub(crate) struct Shot {
     pub(crate) camera: Camera,
     /// Normalised time.
     pub(crate) time: f32,
-    /// Pose of an avatar; `None`: the pose at `time`.
-    pub(crate) pose: Option<Pose>,
+    /// Pose of an avatar; `None`: the pose at each time.
+    pub(crate) pose: Option<Posing>,
     /// For each splat of [`Scene::all_splats`], whether it is hidden; `None` if none is.
     hidden: Option<Vec<bool>>,
     /// How the splats are drawn.
@@ -52,7 +51,10 @@ impl Shot {
         let show = stage.show(target.show)?;
         let scene = show.scene(target.checkpoint)?;
         let pose = match (&q.pose, scene.avatar()) {
-            (Some(posing), Some(avatar)) => Some(posing.of(avatar, q.time)?),
+            (Some(posing), Some(avatar)) => {
+                posing.of(avatar, q.time)?;
+                Some(posing.clone())
+            }
             _ => None,
         };
         let mut hidden: Option<Vec<bool>> = None;
@@ -109,18 +111,20 @@ impl Shot {
         self.scene.at(self.time, &self.camera)
     }
 
+    /// All splats of the scene at a time, none hidden, in the pose that was asked for.
+    ///
+    /// # Errors
+    /// As [`Self::splats`].
+    pub(crate) fn all_splats_at(&self, time: f32) -> Result<Cow<'_, Splats>, String> {
+        self.scene.all_splats(time, &self.camera, self.pose.as_ref())
+    }
+
     /// All splats, in the same order at every time; hidden ones have opacity 0.
     ///
     /// # Errors
     /// As [`Self::splats`].
     pub(crate) fn all_splats(&self) -> Result<Cow<'_, Splats>, String> {
-        let mut splats = match (&self.pose, self.scene.avatar()) {
-            (Some(pose), Some(avatar)) => {
-                let posed = avatar.posed(&Timestamp::normalised(self.time), pose);
-                Cow::Owned(posed.map_err(|e| e.to_string())?)
-            }
-            _ => self.scene.all_splats(self.time, &self.camera)?,
-        };
+        let mut splats = self.all_splats_at(self.time)?;
         if let Some(hidden) = &self.hidden {
             let opacities = &mut splats.to_mut().opacities;
             opacities.iter_mut().zip(hidden).filter(|(_, h)| **h).for_each(|(o, _)| *o = 0.0);
@@ -146,7 +150,7 @@ impl SelectionCache {
             return Ok(entry.2.clone());
         }
         let camera = choice.look.camera(stage, choice.width, choice.height, false)?;
-        let splats = scene.all_splats(choice.time, &camera)?;
+        let splats = scene.all_splats(choice.time, &camera, choice.pose.as_ref())?;
         let members = Arc::new((0..splats.len()).map(|i| is_in(&splats, i, &camera, choice.at)).collect::<Vec<_>>());
         if self.entries.len() == CACHE_SIZE {
             self.entries.remove(0);

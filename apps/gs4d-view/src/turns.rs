@@ -47,6 +47,8 @@ impl Turns {
             line.count += 1;
             let deadline = Instant::now() + PER_PIXEL.saturating_mul(u32::try_from(pixels).unwrap_or(u32::MAX));
             let place = (deadline, line.count);
+            // Those who have left would otherwise pass the turn on one inside the other.
+            line.waiting.retain(|_, give| !give.is_closed());
             line.waiting.insert(place, give);
             turn
         };
@@ -107,6 +109,23 @@ mod tests {
             }
             assert_eq!(*list.lock().unwrap(), ["small", "large", "larger"]);
             assert!(!turns.line().taken && turns.line().waiting.is_empty());
+        });
+    }
+
+    #[test]
+    fn any_number_may_come_and_go_while_somebody_has_the_turn() {
+        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+        runtime.block_on(async {
+            let turns = Arc::new(Turns::default());
+            let first = turns.wait(1).await;
+            for _ in 0..100_000 {
+                let mut left = std::pin::pin!(turns.wait(1));
+                let mut context = std::task::Context::from_waker(std::task::Waker::noop());
+                assert!(left.as_mut().poll(&mut context).is_pending());
+            }
+            assert!(turns.line().waiting.len() <= 1);
+            drop(first);
+            assert!(!turns.line().taken);
         });
     }
 }

@@ -41,7 +41,7 @@ impl Baker<'_> {
     ) -> Result<Clip, ExportError> {
         let frames = self.frames(times, &|splats| splats, tick)?;
         let layers = clip_layers(self.method, &frames, times[times.len() / 2], observed)?;
-        Ok(Clip::fit(&frames, &self.cameras, tolerance).with_layers(layers))
+        Ok(Clip::fit(&frames, &self.poses, tolerance).with_layers(layers))
     }
 
     /// The scene at ascending times as Gaussians that each last for a span, a unit of normalised time for `seconds`; and the number of
@@ -57,7 +57,7 @@ impl Baker<'_> {
         tick: &mut dyn FnMut(usize),
     ) -> Result<(Spans, usize), ExportError> {
         let frames = self.frames(times, &Splats::with_plain_kernel, tick)?;
-        Ok((Spans::fit(&frames, &self.cameras, tolerance, seconds), frames.len()))
+        Ok((Spans::fit(&frames, &self.poses, tolerance, seconds), frames.len()))
     }
 
     /// The scene at ascending times, its splats as `kept`.

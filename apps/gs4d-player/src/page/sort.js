@@ -1,19 +1,18 @@
 "use strict";
 // Sorts splats by depth, back to front, for a camera and a time. A worker.
-//   in   { clip, count }                        a new clip, without keys
+//   in   { clip, count, near, dilation }        a new clip, without keys; splats nearer than `near` (world units) are not drawn
 //        { time, words }                        one of its keys
 //        { id, camera, time, order }            asks for an order; the array of an old one comes back to be filled again
 //   out  { clip, id, order, count }             the first count entries are indices of splats, the farthest first
-const sortNear = 0.01; // splats whose centre is nearer are not drawn, world units
 const sortMargin = 0.1; // widths of the image around it in which splats are kept: the camera turns while the sort runs
 const sortRow = 1024; // orders have whole rows of the renderer's texture
 const sortPlain = Math.sqrt(2 * Math.log(255)), sortBent = Math.sqrt(4 * Math.log(255)); // standard deviations at which an opaque splat ends: the Gaussian, the widest kernel
 const sortLow = new Uint32Array(1 << 16), sortHigh = new Uint32Array(1 << 16); // histograms of the halves of a depth
-let sortClip = 0, sortCount = 0, sortKeys = [];
+let sortClip = 0, sortCount = 0, sortKeys = [], sortNear = 0.01, sortReach = 0; // sortReach: of the dilation alone, pixels
 let sortDepths = null, sortBits = null, sortSeen = null, sortPass = null;
 
-function sortStart(clip, count) {
-  [sortClip, sortCount, sortKeys] = [clip, count, []];
+function sortStart({ clip, count, near, dilation }) {
+  [sortClip, sortCount, sortKeys, sortNear, sortReach] = [clip, count, [], near, 1 + sortBent * Math.sqrt(dilation)];
   sortDepths = new Float32Array(count);
   sortBits = new Uint32Array(sortDepths.buffer);
   sortSeen = new Uint32Array(count);
@@ -40,7 +39,7 @@ function sortCull({ viewmat: m, fx, fy, cx, cy, width, height }, time) {
   while (k < sortKeys.length - 2 && sortKeys[k + 1].time <= time) k++;
   const from = sortKeys[k], to = sortKeys[Math.min(k + 1, sortKeys.length - 1)], p = from.points, q = to.points;
   const t = from === to ? 0 : Math.min(1, Math.max(0, (time - from.time) / (to.time - from.time)));
-  const focal = Math.max(fx, fy), beyond = 3 + sortMargin * width, ex = (0.15 * width) / fx, ey = (0.15 * height) / fy;
+  const focal = Math.max(fx, fy), beyond = sortReach + sortMargin * width, ex = (0.15 * width) / fx, ey = (0.15 * height) / fy;
   const left = -cx / fx - ex, right = (width - cx) / fx + ex, top = -cy / fy - ey, bottom = (height - cy) / fy + ey;
   let n = 0;
   // From the last to the first: of two at one depth the first is in front.
@@ -77,7 +76,7 @@ function sortOrder(order, n) {
 }
 onmessage = ({ data }) => {
   if (data.words) return sortAdd(data.time, data.words);
-  if (!data.camera) return sortStart(data.clip, data.count);
+  if (!data.camera) return sortStart(data);
   const room = sortRow * Math.ceil(sortCount / sortRow), old = data.order, order = old && old.length === room ? old : new Uint32Array(room);
   const count = sortKeys.length ? sortCull(data.camera, data.time) : 0;
   sortOrder(order, count);

@@ -1,7 +1,7 @@
 "use strict";
 // Moving 3D Gaussian splats in WebGL2.
 //   renderer = new SplatRenderer(canvas, () => new Worker("sort.js"))    throws where WebGL2 is missing
-//   renderer.setClip({ count, keys: [{ time, words }], background, sh })  words: 8 u32 per splat, see splatProject
+//   renderer.setClip({ count, keys: [{ time, words }], background, sh, near, dilation, antialias })  words: 8 u32 per splat, see splatProject
 //   renderer.addKey({ time, words })                                     at any time, in any order of times
 //   renderer.draw(camera, time)       at once, with the newest order of depths; true if that is for this camera and time
 //   renderer.settled(camera, time)    a promise of a draw that is; the image can be read in its continuation
@@ -48,6 +48,7 @@ vec3 harmonics(int i, vec3 d) {
 uniform float uMix;
 uniform mat4x3 uView;
 uniform vec2 uFocal, uCentre;
+uniform vec3 uRaster; // near plane; dilation, square pixels; 1 where opacities make up for it
 uniform vec4 uLimit; // of the tangents in the Jacobian: least x and y, most x and y
 layout(location = 0) out uvec4 oPlace;
 layout(location = 1) out uvec4 oLook;
@@ -61,7 +62,7 @@ void main() {
   uvec4 a = texelFetch(uFrom, at, 0), c = texelFetch(uFrom, next, 0), b = texelFetch(uTo, at, 0), d = texelFetch(uTo, next, 0);
   vec3 mean = mix(uintBitsToFloat(a.xyz), uintBitsToFloat(b.xyz), uMix), t = uView * vec4(mean, 1);
   vec4 rgba = mix(bytes(a.w), bytes(b.w), uMix);
-  if (!(t.z > 0.01) || rgba.a < 1.0 / 255.0) return;
+  if (!(t.z > uRaster.x) || rgba.a < 1.0 / 255.0) return;
 #ifdef HARMONICS
   rgba.rgb = max(rgba.rgb + harmonics(row, normalize(mean - uEye)), 0.0);
 #endif
@@ -76,8 +77,9 @@ void main() {
   vec2 tangent = clamp(t.xy * inverse, uLimit.xy, uLimit.zw), f = uFocal * inverse;
   // Rows of J R diag(s). The determinant is a sum of terms that cannot cancel, so needles keep their width.
   vec3 f0 = f.x * (axes[0] - tangent.x * axes[2]) * s, f1 = f.y * (axes[1] - tangent.y * axes[2]) * s, n = cross(f0, f1);
-  float xx = dot(f0, f0), xy = dot(f0, f1), yy = dot(f1, f1), det = dot(n, n) + 0.3 * (xx + yy) + 0.09, l = sqrt(yy + 0.3);
-  if (!(det < 1e30)) return;
+  float xx = dot(f0, f0), xy = dot(f0, f1), yy = dot(f1, f1), area = dot(n, n), det = area + uRaster.y * (xx + yy + uRaster.y), l = sqrt(yy + uRaster.y);
+  if (!(det > 0.0 && det < 1e30)) return;
+  if (uRaster.z > 0.0) rgba.a *= max(sqrt(area / det), 0.005);
   oPlace = floatBitsToUint(vec4(f * t.xy + uCentre, sqrt(det) / l, xy / l));
   oLook = uvec4(floatBitsToUint(l), packHalf2x16(rgba.rg), packHalf2x16(rgba.ba), packHalf2x16(mix(bytes(c.w).zw, bytes(d.w).zw, uMix) * 0.5));
 }`;
@@ -205,13 +207,13 @@ class SplatRenderer {
     this.keys.clear(); this.frame = null;
   }
 
-  setClip({ count, keys, background = [0, 0, 0], sh = null }) {
+  setClip({ count, keys, background = [0, 0, 0], sh = null, near = 0.01, dilation = 0.3, antialias = false }) {
     const most = splatRow * (this.gl.getParameter(this.gl.MAX_TEXTURE_SIZE) || 2048);
     if (!(count <= most)) throw new RangeError(`${count} splats are too many for this graphics device: at most ${most}`);
     this.free();
-    this.clip = { count, keys: [], background, sh, bent: false };
+    this.clip = { count, keys: [], background, sh, near, dilation, antialias, bent: false };
     Object.assign(this, { order: null, wanted: null, serial: this.serial + 1 });
-    this.sorter.postMessage({ clip: this.serial, count });
+    this.sorter.postMessage({ clip: this.serial, count, near, dilation });
     for (const key of keys) this.addKey(key);
   }
   // A key of the same time is replaced.
@@ -303,7 +305,7 @@ class SplatRenderer {
       gl.uniform1i(at.uOrder, 0); gl.uniform1i(at.uFrom, 1); gl.uniform1i(at.uTo, 2);
       gl.uniform1f(at.uMix, span > 0 ? Math.min(1, Math.max(0, (time - from.time) / span)) : 0);
       gl.uniformMatrix4x3fv(at.uView, false, [0, 1, 2, 3].flatMap((c) => [m[c], m[c + 4], m[c + 8]]));
-      gl.uniform2f(at.uFocal, fx, fy); gl.uniform2f(at.uCentre, cx, cy);
+      gl.uniform2f(at.uFocal, fx, fy); gl.uniform2f(at.uCentre, cx, cy); gl.uniform3f(at.uRaster, clip.near, clip.dilation, clip.antialias ? 1 : 0);
       if (clip.sh) {
         const eye = [0, 1, 2].map((c) => -(m[c] * m[3] + m[c + 4] * m[7] + m[c + 8] * m[11]));
         gl.uniform1i(at.uSh, 5); gl.uniform3f(at.uEye, ...eye); gl.uniform1i(at.uDegree, clip.sh.degree);

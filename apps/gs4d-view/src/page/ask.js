@@ -3,7 +3,7 @@
 const key = new URLSearchParams(location.search).get("k") || "";
 const FAST = 80; // milliseconds an image may take while something moves
 const COARSE = 0, REST = 1, FINE = 2, MOST = 3840 * 2160; // levels of images; pixels of the largest
-let version = 0; // raised whenever the present image is no longer what is wanted
+let version = 0, moves = 0; // raised whenever the present image is no longer what is wanted; the second where it is of another camera, time or layer
 let socket = null, next = 1, busy = null, playing = false, moving = 0, shrink = 1, live = false, arriving = false, file = null, chosen = null, parts = [], missing = 0, came = 0; // came: when the first part of the present answer did
 const sides = { a: { want: null, is: -1, shown: 0 }, b: { want: null, is: -1, shown: 0 } };
 const wanted = () => (state.compare === "wipe" || state.compare === "flicker" ? ["a", "b"] : ["a"]);
@@ -20,7 +20,7 @@ function size(level) {
 }
 function pump() {
   if (busy || !socket || socket.readyState !== 1 || !shows.length) return;
-  if (file) return send({ side: "file" }, { ...scene("a", REST), ...file });
+  if (file) return send({ side: "file", file }, { ...scene("a", REST), ...file });
   const still = !playing && performance.now() - moving > 400, bring = (what) => send({ side: "key", fetching: what }, { ...scene(what.local.side, COARSE), time: what.time, save: "splats" });
   const paint = (thumb) => { thumb.asked = true; send({ side: "thumb", thumb }, thumb.question()); };
   if (live && still && sides.a.shown) {
@@ -57,9 +57,15 @@ function scene(side, level) {
   if (state.style === "points") question.style = { points: pointSize(question, question.enlarge ? Infinity : view ? view.width : Infinity) };
   else if (state.style !== "splats") question.style = state.style;
   if (state.back) question.background = state.back;
-  const turns = Object.entries(state.pose.turns).filter(([, a]) => a.some(Boolean)).map(([j, a]) => [Number(j), a.map((d) => (d * Math.PI) / 180)]);
-  if (about().joints && (turns.length || state.pose.from !== null)) question.pose = { from: state.pose.from, turns };
+  const pose = posing();
+  if (pose) question.pose = pose;
   return question;
+}
+// The pose that was chosen for a person; null for the one at the time of the image.
+function posing() {
+  const { joints } = about(), turned = Object.entries(state.pose.turns).filter(([j, a]) => joints && j < joints.length && a.some(Boolean));
+  const turns = turned.map(([j, a]) => [Number(j), a.map((d) => (d * Math.PI) / 180)]);
+  return joints && (turns.length || state.pose.from !== null) ? { from: state.pose.from, turns } : null;
 }
 // Points keep their size in the window, whatever the size of the image.
 function pointSize({ width, height }, most) {
@@ -67,12 +73,12 @@ function pointSize({ width, height }, most) {
   return Math.min(32, Math.max(0.5, (state.size * image) / shown));
 }
 function send(what, question) {
-  busy = { id: next++, sent: performance.now(), heard: performance.now(), version, ...what };
+  busy = { id: next++, sent: performance.now(), heard: performance.now(), version, moves, picking: question.pick, ...what };
   socket.send(JSON.stringify({ id: busy.id, ...question }));
 }
-function changed() { moving = performance.now(); sides.a.pick = null; save(); again(); }
+function changed() { moving = performance.now(); sides.a.pick = null; if (busy) busy.picking = null; save(); again(); }
 function again() {
-  version++;
+  version++; moves++;
   lines();
   const here = drawLocals();
   for (const side of ["a", "b"]) {
@@ -88,8 +94,14 @@ function settle() {
     const s = sides[side], idle = s.want === null && !(busy && busy.side === side);
     if (idle && s.is < best && !playing && still > 180) ask(side, Math.max(s.is + 1, REST));
   }
-  if (busy && performance.now() - busy.heard > 60000) { file = null; busy = null; }
+  if (busy && performance.now() - busy.heard > 60000) giveUp();
   pump();
+}
+// What was asked for will not be answered; a pick is asked for again.
+function giveUp() {
+  if (busy && busy.picking && !sides.a.pick) { sides.a.pick = busy.picking; sides.a.is = Math.min(sides.a.is, COARSE); }
+  if (busy && busy.file && busy.file === file) { file = null; notice("The viewer has not answered for a minute: nothing was saved."); }
+  busy = null;
 }
 // An answer comes in parts: lengths of header and body (u32 each, little-endian), header (JSON), body.
 function collect(part) {
@@ -102,17 +114,17 @@ async function received(parts) {
   const data = await new Blob(parts).arrayBuffer(), length = new DataView(data).getUint32(0, true);
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 8, length))), rest = new Uint8Array(data, 8 + length);
   if (!busy || header.id !== busy.id) return;
-  const { side, level, sent, thumb, fetching } = busy, now = performance.now(), spent = now - sent, onLine = now - came, asked = busy.version, stale = asked !== version;
+  const { side, level, sent, thumb, fetching, moves: at, file: saved } = busy, now = performance.now(), spent = now - sent, onLine = now - came, stale = busy.version !== version;
   // An answer for what is no longer wanted is shown at most; what is wanted is asked for all the same.
   if (sides[side] && !stale) sides[side].is = level;
   busy = null;
-  if (side === "file") { file = null; pump(); return download(header.file, rest); }
+  if (side === "file") { if (file === saved) file = null; pump(); return download(header.file, rest); }
   if (side === "key") { fetching.local.got(fetching, rest.slice().buffer, header, onLine); return pump(); }
   pump();
   if (level === COARSE) shrink = Math.min(8, Math.max(1, shrink * (spent > FAST ? 1.25 : spent < FAST / 2 ? 0.85 : 1)));
   const bitmap = await createImageBitmap(new Blob([rest])), canvas = thumb ? thumb.canvas : $(side);
   // What has moved on meanwhile is drawn in the browser; an older image does not follow a newer one.
-  if (!thumb && (header.id < sides[side].shown || (locals[side].drawn && asked !== version))) return;
+  if (!thumb && (header.id < sides[side].shown || (locals[side].drawn && at !== moves))) return;
   if (!thumb) sides[side].shown = header.id;
   canvas.width = bitmap.width; canvas.height = bitmap.height;
   canvas.getContext("2d").drawImage(bitmap, 0, 0);
@@ -147,10 +159,11 @@ function open() {
     if (message.listed) return listShows(message.listed);
     if (message.paused !== undefined) showPaused(message.paused);
     if (message.news) return news(message.news);
+    if (message.later) { if (busy && message.id === busy.id) { busy.fetching.local.later(); busy = null; pump(); } return; }
     if (!message.error) return;
     const ours = busy && message.id === busy.id;
     if (ours && busy.side === "key") busy.fetching.local.fail(); else if (!ours || busy.side !== "thumb") notice(message.error);
-    if (ours) { if (sides[busy.side]) sides[busy.side].is = FINE; if (busy.side === "file") file = null; busy = null; pump(); }
+    if (ours) { if (sides[busy.side]) sides[busy.side].is = FINE; if (busy.file && file === busy.file) file = null; busy = null; pump(); }
   };
-  socket.onclose = () => { notice(live && !arriving ? "Training has ended, or the connection is lost; trying again." : "The viewer has stopped or the connection is lost; trying again."); busy = null; setTimeout(open, 2000); };
+  socket.onclose = () => { notice(live && !arriving ? "Training has ended, or the connection is lost; trying again." : "The viewer has stopped or the connection is lost; trying again."); if (busy && busy.file) busy = null; else giveUp(); setTimeout(open, 2000); };
 }

@@ -37,7 +37,7 @@ class Local {
     if (this.show.splats * WORDS * (this.show.moving ? 2 : 1) > this.memory) return null;
     if (!this.clip || this.clip.name !== this.name) this.clip = { name: this.name, times: this.times(this.show.splats), count: null, have: new Set() };
     const { clip } = this;
-    if (clip.failed) return null;
+    if (clip.failed || clip.after > performance.now()) return null;
     if (this.live && clip.ready) return clip.step !== trained && performance.now() - clip.since > AGAIN ? clip.times[0] : null;
     const open = clip.times.map((t, k) => k).filter((k) => !clip.have.has(k));
     if (!open.length) return null;
@@ -47,13 +47,15 @@ class Local {
     return clip.times[near];
   }
   fail() { if (this.clip) this.clip.failed = true; }
+  // The viewer has no room for splats: they are asked for again.
+  later() { if (this.clip) { this.clip.pause = Math.min(60000, 2 * (this.clip.pause || 1000)); this.clip.after = performance.now() + this.clip.pause; } }
   // An answer, which was so many milliseconds on the line; `step` is that of the copy when it was asked for.
   got({ time, name, step }, buffer, header, onLine) {
     const { clip } = this;
     if (!clip || clip.name !== name) return;
     const words = new Uint32Array(buffer), count = words.length / 8;
     if (clip.count === null || (this.live && count !== clip.count)) {
-      Object.assign(clip, { count, background: header.background, ready: false });
+      Object.assign(clip, { count, background: header.background, raster: header.raster, ready: false });
       if (!count) return this.fail();
       if (!this.begin()) return;
     }
@@ -63,9 +65,13 @@ class Local {
     const k = clip.times.findIndex((t) => Math.abs(t - time) < 1e-4);
     if (k < 0 || (clip.have.has(k) && !this.live)) return;
     clip.have.add(k);
-    Object.assign(clip, { step, since: performance.now() });
+    Object.assign(clip, { step, since: performance.now(), pause: 0 });
     const one = { time: clip.times[k], words };
-    if (!clip.ready) { this.renderer.setClip({ count, keys: [one], background: clip.background }); clip.ready = true; } else this.renderer.addKey(one);
+    try {
+      if (clip.ready) return this.renderer.addKey(one);
+      this.renderer.setClip({ count, keys: [one], background: clip.background, ...clip.raster });
+      clip.ready = true;
+    } catch { this.broken = true; } // more splats than a texture of this device holds
   }
   // A renderer; false where there can be none.
   begin() {
@@ -91,7 +97,7 @@ class Local {
   }
   paint(camera) {
     if (!this.holdsAll || sides[this.side].is >= REST) return false;
-    this.renderer.draw(camera, state.t);
+    try { this.renderer.draw(camera, state.t); } catch { this.broken = true; this.hide(); again(); return false; }
     fit(this.canvas, camera);
     if (!this.renderer.order) return false;
     this.drawn = true;

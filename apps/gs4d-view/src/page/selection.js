@@ -15,7 +15,8 @@ function picked(p) {
 }
 function choose(at) {
   const { width, height } = $("a");
-  chosen = { show: state.a[0], look: look(), time: state.t, width, height, at };
+  const pose = posing();
+  chosen = { show: state.a[0], look: look(), time: state.t, width, height, at, ...(pose && { pose }) };
   $("selecting").open = true; $("choice").hidden = false;
   boxing(false);
   again();
@@ -50,12 +51,13 @@ function figure() {
   $("from").value = state.pose.from ?? state.t;
 }
 function posed() {
+  paths = [];
   state.pose.turns[$("joint").value] = [0, 1, 2].map((k) => Number($("turn-" + k).value));
   state.pose.from = $("borrow").checked ? Number($("from").value) : null;
   changed();
 }
 function inputs(i) {
-  const turned = Object.entries(state.pose.turns).filter(([, a]) => a.some(Boolean)).map(([j]) => about().joints[j]);
+  const { turns = [] } = posing() || {}, turned = turns.map(([j]) => about().joints[j]);
   const changes = [...(state.pose.from !== null ? [`the pose is that of ${ownTime(state.pose.from) || state.pose.from.toFixed(3)}`] : []), ...(turned.length ? [`turned by you: ${turned.join(", ")}`] : [])];
   $("inputs").textContent = `Colours come from the images of frame ${i.frame} (${i.images.join(", ")}); ${changes.join("; ") || "in the pose it was filmed in"}.`;
 }
@@ -72,4 +74,4 @@ $("unchoose").addEventListener("click", unchoose);
 for (const part of ["chosen", "rest"]) $("save-" + part).addEventListener("click", () => { file = { save: part, chosen }; pump(); });
 $("joint").addEventListener("change", figure);
 for (const id of ["turn-0", "turn-1", "turn-2", "borrow", "from"]) $(id).addEventListener("input", posed);
-$("unpose").addEventListener("click", () => { state.pose = { from: null, turns: {} }; figure(); changed(); });
+$("unpose").addEventListener("click", () => { state.pose = { from: null, turns: {} }; paths = []; figure(); changed(); });

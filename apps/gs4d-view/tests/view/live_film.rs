@@ -2,6 +2,7 @@
 
 use crate::support::{ask, greeted};
 use gs_core::Splats;
+use gs_raster::RasterOptions;
 use gs_synth::avatar::{self, AvatarOptions};
 use gs_train::device::Device;
 use gs4d_view::{Options, Packing, REQUEST_TIME, Show, Stage, start};
@@ -22,7 +23,8 @@ fn a_page_hears_of_each_frame_and_how_old_its_image_is() {
         color: gs_core::Color::Rgb(vec![[color; 3]; cloud.positions.len()]),
         ..Splats::default()
     };
-    let show = Show::live_film("film".into(), splats(0.2), Default::default(), [0.0; 3], &film);
+    let raster = RasterOptions { near: 0.05, dilation: 0.1, antialias: true, ..RasterOptions::default() };
+    let show = Show::live_film("film".into(), splats(0.2), raster, [0.0; 3], &film);
     let (host, packing, device) = ([127, 0, 0, 1].into(), Packing::Png, Device::default());
     let options = Options { host, port: 18_340, packing, share: None, request_time: REQUEST_TIME, device };
     let server = start(Stage::new(vec![show]), &options).unwrap();
@@ -44,6 +46,11 @@ fn a_page_hears_of_each_frame_and_how_old_its_image_is() {
     let latency = header["frame"]["latency_ms"].as_f64().unwrap();
     assert!(latency >= 250.0 && latency <= written.elapsed().as_secs_f64() * 1e3, "{latency}");
     assert_ne!(dark, bright);
+    // The browser draws them as they are trained to be drawn.
+    let mut splats_of = question.clone();
+    splats_of["save"] = json!("splats");
+    let drawn = ask(&mut socket, &splats_of).0["raster"].clone();
+    assert_eq!(drawn, json!({"near": 0.05, "dilation": 0.1, "antialias": true}));
     // A page that opens later hears of the newest frame.
     assert_eq!(greeted(&server).1["news"]["frame"]["number"], 7);
 }

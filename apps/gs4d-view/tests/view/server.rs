@@ -109,6 +109,7 @@ fn what_makes_no_sense_is_answered_with_a_reason() {
     for case in cases {
         let (answer, _) = ask(&mut socket, &case);
         assert!(answer["error"].as_str().is_some_and(|e| !e.is_empty()), "{case}: {answer}");
+        assert_eq!(answer["id"], case["id"], "the page knows which question it was");
     }
     assert_eq!(ask(&mut socket, &question(4, "color")).0["id"], 4, "and goes on");
 }
@@ -284,6 +285,8 @@ fn splats_are_sent_as_words_and_images_as_files() {
     assert_eq!((&header["splats"], &header["background"], words.len()), (&json!(2), &json!([0.0, 0.0, 0.0]), 64));
     let z = |k: usize| f32::from_le_bytes(words[32 * k + 8..32 * k + 12].try_into().unwrap());
     assert_eq!([z(0), z(1)], [0.0, 0.5]);
+    let plain = gs_raster::RasterOptions::default();
+    assert_eq!(header["raster"], json!({"near": plain.near, "dilation": plain.dilation, "antialias": false}));
     with["what"]["layer"] = json!("depth");
     assert!(ask(&mut socket, &with).0["error"].as_str().unwrap().contains("no splats"));
     let mut image = question(2, "color");
