@@ -12,6 +12,7 @@ mod entry;
 mod job;
 mod pilot;
 mod plan;
+mod scored;
 mod together;
 
 pub use entry::Entry;
@@ -20,10 +21,12 @@ use gs_train::registry::Registry;
 pub use gs4d_eval::spread::{SCORES, Score, Spread};
 use gs4d_run::config::ConfigError;
 use gs4d_run::settings::{self, Request, resolve};
-use gs4d_run::{Progress, RunError, Scored};
+use gs4d_run::{Progress, RunError, RunFolder, Scored, provenance};
 pub use job::Job;
 pub use plan::Plan;
+use scored::Scene;
 use serde::Serialize;
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
@@ -112,6 +115,12 @@ impl Standing {
     }
 }
 
+/// The machines, threads and devices that trials were trained on, each once: seconds of several of them are not alike.
+pub fn machines(standings: &[Standing]) -> BTreeSet<String> {
+    let trials = standings.iter().flat_map(|s| &s.trials);
+    trials.filter_map(|t| RunFolder::open(&t.run).ok()).flat_map(|folder| provenance::machines(&folder)).collect()
+}
+
 /// Result of a contest.
 #[derive(Debug)]
 pub struct Results {
@@ -168,6 +177,9 @@ pub enum ContestError {
     Interrupted(PathBuf),
 }
 
+/// Seed of all pilots, whichever seeds a contest has by and by.
+const PILOT_SEED: u64 = 0;
+
 /// Gives the result of a run: by training or by reading.
 type Source<'a> = dyn FnMut(&Job) -> Result<Scored, ContestError> + 'a;
 
@@ -208,13 +220,21 @@ impl Contest {
         self.entries.iter().try_for_each(|entry| self.job(entry, "", 0, self.length).map(drop))
     }
 
-    /// Whether every entry can learn from the data. Trials that stand need none, so data that are gone are left to the others.
+    /// Whether every entry can learn from the data, and all are scored on the same images. Trials that stand need no data, so data that are gone
+    /// are left to the others.
     fn check_data(&self) -> Result<(), ContestError> {
+        let mut first: Option<(&str, Scene)> = None;
         for entry in &self.entries {
             let job = self.job(entry, "", 0, self.length)?;
-            match job.resolved.reopen_data() {
-                Err(RunError::DataGone { .. }) => {}
-                data => data.and_then(|data| job.resolved.fits(&data)).map_err(|e| job.failed(e))?,
+            let data = match job.resolved.reopen_data() {
+                Err(RunError::DataGone { .. }) => continue,
+                data => data.map_err(|e| job.failed(e))?,
+            };
+            job.resolved.fits(&data).map_err(|e| job.failed(e))?;
+            let own = Scene::of(&job.resolved, &data);
+            match &first {
+                None => first = Some((&entry.label, own)),
+                Some((label, scene)) => scene.same(label, &own).map_err(|e| job.failed(e.into()))?,
             }
         }
         Ok(())
@@ -261,10 +281,9 @@ impl Contest {
     /// The pilot of an entry under a time budget.
     fn pilot(&self, entry: &Entry) -> Result<Option<Job>, ContestError> {
         let Length::Seconds(seconds) = self.length else { return Ok(None) };
-        let seed = self.seeds.first().copied().unwrap_or(0);
-        let recipe = self.job(entry, "", seed, Length::Recipe)?.resolved.steps();
+        let recipe = self.job(entry, "", PILOT_SEED, Length::Recipe)?.resolved.steps();
         let steps = pilot::length(u32::try_from(recipe).unwrap_or(u32::MAX));
-        self.run_of(entry, "pilot", seed, (Some(steps), Some(seconds))).map(Some)
+        self.run_of(entry, "pilot", PILOT_SEED, (Some(steps), Some(seconds))).map(Some)
     }
 
     fn trial(&self, entry: &Entry, seed: u64, length: Length) -> Result<Job, ContestError> {
@@ -300,7 +319,7 @@ impl Contest {
             ..Request::default()
         };
         let trial = if name.is_empty() { entry.label.clone() } else { format!("{} / {name}", entry.label) };
-        if request.sets.iter().any(|set| settings::is_of(set, "run.seed")) {
+        if request.sets.iter().any(|set| settings::assigns(set, "run.seed")) {
             let why = "run.seed is the seed of a trial: name seeds by --seeds, not by --set".to_owned();
             return Err(TrialError { trial, source: Box::new(ConfigError::Invalid(why).into()) }.into());
         }

@@ -20,7 +20,6 @@ use gs_data::Split;
 use gs_train::evaluate::{MeanScores, evaluate};
 use gs_train::registry::Registry;
 pub use gs4d_run::folder::ROUNDS as FILE;
-use gs4d_run::provenance::began_on;
 use gs4d_run::settings::Request;
 use gs4d_run::training::few_views;
 use gs4d_run::{Outcome, Progress, RunError, Training};
@@ -170,15 +169,15 @@ pub fn run(
     let found = if overwrite { None } else { standing(root, &identity, &sequence.ends)? };
     let (first, mut training, mut done) = match found {
         Some(Standing { folder, newest, round, done }) => {
-            let begun = sequence.data(0)?;
-            if began_on(&folder, &begun) == Some(false) {
-                return Err(RunError::DataChanged { path: begun.root.clone(), run: root.to_owned() });
+            let known = folder.rounds().and_then(|rounds| rounds.get("data").cloned());
+            if known.is_some_and(|data| data != sequence.origin()) {
+                return Err(RunError::DataChanged { path: sequence.data(0)?.root.clone(), run: root.to_owned() });
             }
             let training = Training::resume_on(folder, newest, sequence.settings(round)?, sequence.data(round)?)?;
             (round, training, done)
         }
         None => {
-            let rounds = json!({"command": plan.command, "plan": identity});
+            let rounds = json!({"command": plan.command, "plan": identity, "data": sequence.origin()});
             // A run that is there has this plan and no checkpoint, or is to be overwritten.
             let training = Training::begin_on(root, true, sequence.settings(0)?, sequence.data(0)?, Some(rounds))?;
             (0, training, Vec::new())

@@ -72,7 +72,8 @@ pub enum Verdict {
 pub struct Order {
     /// The other entry.
     pub other: String,
-    /// Published mean of the first less that of the other.
+    /// Published mean of the first less that of the other, over the scenes that were run; over all where generated ones stand in. Absent where the paper
+    /// has no figures of just these scenes.
     pub published: Option<f64>,
     /// Mean over pairs of the same scene and seed.
     pub ours: Option<f64>,
@@ -171,7 +172,8 @@ fn conditions(reproduction: &Reproduction) -> String {
         Length::Seconds(s) => format!(", {s} s a trial"),
     };
     let scale = c.scale.map_or(String::new(), |s| format!(", data.scale={s}"));
-    let sets = c.sets.iter().map(|s| format!(", {s}")).collect::<String>();
+    let of_table = reproduction.table.sets.iter().filter(|s| !s.starts_with("data."));
+    let sets = of_table.chain(&c.sets).map(|s| format!(", {s}")).collect::<String>();
     let seeds = c.seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
     format!("{preset}{length}{scale}{sets}; seeds {seeds}")
 }
@@ -275,7 +277,11 @@ fn orders(reproduction: &Reproduction, results: &[Results], beside: &Beside) -> 
     let (Some(first), Some(column)) = (names.first(), columns.first()) else {
         return Vec::new();
     };
-    let printed = |entry: &str| table.published_average(entry, 0);
+    // What stands in for the paper's scenes stands in for all of them.
+    let printed = |entry: &str| match generated {
+        true => table.published_average(entry, 0),
+        false => published_mean(reproduction, entry, 0),
+    };
     let order = |(k, other): (usize, &&TableEntry)| {
         let published = printed(&first.name).zip(printed(&other.name)).map(|(a, b)| a - b);
         let pairs = |r: &Results| match (r.standings.first(), r.standings.get(k)) {

@@ -106,6 +106,11 @@ pub fn text(outcome: &Outcome) -> String {
     text.push_str(&aligned(&head, &rows, |column| column < 2));
     text.push_str("± one standard deviation over seeds\n\n");
     sentences(outcome).iter().for_each(|s| text.push_str(&format!("{s}\n")));
+    let without: Vec<Vec<String>> = outcome.not_run.iter().map(|n| vec![n.what.clone(), n.why.clone()]).collect();
+    if !without.is_empty() {
+        text.push_str("\nwithout a result:\n");
+        text.push_str(&aligned(&["what", "why"], &without, |_| true));
+    }
     text
 }
 

@@ -151,16 +151,20 @@ impl Reproduction {
         Ok(Self { table, set, conditions, scenes, absent })
     }
 
-    /// Writes the generated scenes among the chosen ones that are not written yet.
+    /// Writes the generated scenes among the chosen ones that are not written yet; the folders that hold another scene than this version
+    /// generates.
     ///
     /// # Errors
     /// If one cannot be written.
-    pub fn prepare(&self) -> Result<(), DataError> {
-        let root = self.conditions.root.join("data");
-        self.scenes.iter().try_for_each(|scene| match scene {
-            Chosen::Published(..) => Ok(()),
-            Chosen::Generated(generated) => generated.write(&root).map(drop),
-        })
+    pub fn prepare(&self) -> Result<Vec<PathBuf>, DataError> {
+        let (root, mut others) = (self.conditions.root.join("data"), Vec::new());
+        for scene in &self.scenes {
+            if let Chosen::Generated(generated) = scene {
+                let folder = generated.write(&root)?;
+                others.extend((!generated.is_in(&folder)).then_some(folder));
+            }
+        }
+        Ok(others)
     }
 
     /// One contest a scene, in the order of the scenes.
@@ -173,9 +177,13 @@ impl Reproduction {
 
     fn contest(&self, scene: &Chosen, registry: &Registry) -> Result<Contest, TableError> {
         let Conditions { seeds, length, scale, sets, root, .. } = &self.conditions;
-        let (data, own) = match scene {
-            Chosen::Published(s, folder) => (folder.clone(), self.table.sets.iter().chain(&s.sets).cloned().collect()),
-            Chosen::Generated(generated) => (root.join("data").join(&generated.name), Vec::new()),
+        let of_table = self.table.sets.iter();
+        let (data, own): (_, Vec<String>) = match scene {
+            Chosen::Published(s, folder) => (folder.clone(), of_table.chain(&s.sets).cloned().collect()),
+            Chosen::Generated(generated) => {
+                let of_method = of_table.filter(|set| !set.starts_with("data."));
+                (root.join("data").join(&generated.name), of_method.cloned().collect())
+            }
         };
         let scale = scale.map(|s| format!("data.scale={s}"));
         Ok(Contest {
@@ -274,7 +282,13 @@ mod tests {
         assert_eq!((with.scenes[0].name(), with.scenes.len(), with.absent.len()), ("hook", 1, 6));
         let contests = with.contests(gs_methods::registry()).unwrap();
         assert_eq!(contests[0].data, root.path().join("captures/hook"));
-        assert_eq!(contests[0].sets, ["data.scale=0.5", "run.log_every=1"]);
+        assert_eq!(contests[0].sets, ["schedule.background=black", "data.scale=0.5", "run.log_every=1"]);
+        // Generated scenes have the table's settings but for those of its data.
+        let object = Table::find("trace", "ablation-object").unwrap();
+        assert!(object.sets.contains(&"data.scale=0.5".to_owned()));
+        let plain = Conditions { scale: None, ..conditions(root.path()) };
+        let generated = Reproduction::new(object, plain).unwrap().contests(gs_methods::registry()).unwrap();
+        assert_eq!(generated[0].sets, ["physics.refit=false", "run.log_every=1"]);
         let labels: Vec<&str> = contests[0].entries.iter().map(|e| e.label.as_str()).collect();
         assert_eq!(labels, ["fags:tiny", "grid4d:tiny", "fourdgs:tiny", "defgs:tiny"]);
     }

@@ -128,10 +128,24 @@ impl Generated {
         if folder.is_dir() {
             return Ok(folder);
         }
-        let partial = root.join(format!(".{}.partial", self.name));
+        let partial = root.join(format!(".{}.{}.partial", self.name, std::process::id()));
         gs_synth::write(&partial, &self.scene, &self.options(), true)?;
-        disk::rename(&partial, &folder).map_err(|source| DataError::Write { file: folder.clone(), source })?;
+        match disk::rename(&partial, &folder) {
+            // Another process wrote it meanwhile.
+            Err(_) if folder.is_dir() => std::fs::remove_dir_all(&partial),
+            renamed => renamed,
+        }
+        .map_err(|source| DataError::Write { file: folder.clone(), source })?;
         Ok(folder)
+    }
+
+    /// Whether a folder holds this scene, made with these options.
+    pub fn is_in(&self, folder: &Path) -> bool {
+        let made = gs_synth::truth(&self.scene, &self.options()).ok();
+        let same = |(there, made): (gs_synth::Truth, gs_synth::Truth)| {
+            there.scene() == made.scene() && there.options() == made.options()
+        };
+        gs_synth::truth_of(folder).zip(made).is_some_and(same)
     }
 
     /// How it is generated.
@@ -223,7 +237,7 @@ pub(crate) mod tests {
         let mutant = table.scenes.iter().find(|s| s.name == "mutant").unwrap();
         let roots = [root.path().to_owned()];
         assert_eq!(set.folder(mutant, &roots), Err(Absence::NotThere));
-        for place in ["dnerf_mutant_400", "data/mutant"] {
+        for place in ["mutant", "data/mutant"] {
             look_like(&root.path().join(place), "dnerf");
             assert_eq!(set.folder(mutant, &roots), Ok(root.path().join(place)), "the folder of the set goes first");
         }
@@ -253,5 +267,9 @@ pub(crate) mod tests {
         std::fs::write(&file, "mine").unwrap();
         assert_eq!(scene.write(root.path()).unwrap(), folder);
         assert_eq!(std::fs::read_to_string(&file).unwrap(), "mine");
+        assert_eq!(std::fs::read_dir(root.path()).unwrap().count(), 1);
+        assert!(scene.is_in(&folder));
+        let other = Generated { variant: scene.variant + 1, ..scene };
+        assert!(!other.is_in(&folder) && !other.is_in(root.path()), "another scene, and none");
     }
 }

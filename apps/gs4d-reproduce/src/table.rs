@@ -56,7 +56,7 @@ pub struct Table {
     pub data: Option<String>,
     /// Under which conditions the published figures were measured.
     pub protocol: String,
-    /// Settings of all entries on the paper's data, `KEY=VALUE`.
+    /// Settings of all entries, `KEY=VALUE`; those of `data` on the paper's data alone.
     #[serde(default)]
     pub sets: Vec<String>,
     /// Names of the columns; the first decides the order of methods.
@@ -202,6 +202,9 @@ impl Table {
         for entry in self.runnable() {
             entry.contest_entry("fast", &[])?;
         }
+        if let Some(entry) = self.runnable().find(|e| e.name.contains(',')) {
+            return Err(format!("the name {} cannot stand in a list with commas", entry.name));
+        }
         let of_scenes = self.scenes.iter().flat_map(|s| s.own.keys().chain(s.recipe.keys()));
         if let Some(entry) = of_scenes.chain(self.entries.iter().flat_map(|e| &e.recipe_of)).find(|e| !known(e)) {
             return Err(format!("settings of {entry} belong to no entry"));
@@ -332,6 +335,38 @@ mod tests {
         }
     }
 
+    /// The settings of the entries of a table with their own presets, or `fast`, by name.
+    fn recipes(table: &Table, fast: bool) -> Vec<(String, gs4d_run::Resolved)> {
+        let recipe = |entry: &TableEntry| {
+            let mut words = entry.run.as_deref().unwrap().split(' ').map(str::to_owned);
+            let request = gs4d_run::settings::Request {
+                method: words.next().unwrap(),
+                preset: if fast { "fast".into() } else { entry.preset.clone() },
+                sets: table.sets.iter().cloned().chain(words).collect(),
+                ..Default::default()
+            };
+            (entry.name.clone(), gs4d_run::settings::resolve(gs_methods::registry(), &request).unwrap())
+        };
+        table.runnable().map(recipe).collect()
+    }
+
+    /// Entries with one recipe would be one training, counted twice; over several backgrounds they would not be scored on the same images.
+    #[test]
+    fn entries_of_a_table_differ_and_have_one_background() {
+        for table in Table::all().unwrap() {
+            for fast in [true, false] {
+                let recipes = recipes(&table, fast);
+                for (k, (name, recipe)) in recipes.iter().enumerate() {
+                    let background =
+                        |r: &gs4d_run::Resolved| r.config.get("schedule.background").unwrap().value.clone();
+                    let twin = recipes[..k].iter().find(|(_, other)| other.trains_as(recipe));
+                    assert!(twin.is_none(), "{}: {name} is {}", table.full_name(), twin.unwrap().0);
+                    assert_eq!(background(recipe), background(&recipes[0].1), "{}: {name}", table.full_name());
+                }
+            }
+        }
+    }
+
     /// The printed averages are means of the printed rows, where all rows are printed; cells that are known to be wrong are named.
     #[test]
     fn averages_are_means_of_their_rows() {
@@ -369,7 +404,7 @@ mod tests {
         let rows = [("object", "TRACE"), ("object", "TRACE 2 frames"), ("indoor", "TRACE"), ("multipart", "TRACE")];
         for (set, entry) in rows {
             let table = Table::find("trace", set).unwrap();
-            let by_step = if step(&table, entry) == 1.0 { "1 frame" } else { "2 frames, order 2" };
+            let by_step = if step(&table, entry) == 1.0 { "1 frame" } else { "2 frames and order 2" };
             for (column, of) in [("future_psnr", 0), ("psnr", 1)] {
                 let k = table.columns.iter().position(|c| c == column).unwrap();
                 let printed = table.published_average(entry, k);
@@ -399,6 +434,13 @@ mod tests {
         refused("columns = [\"psnr\"]\nnetworks = { lpips = \"vgg 0..1\" }", "belongs to no column");
         refused("columns = [\"lpips\"]\nnetworks = { lpips = \"squeeze 0..1\" }", "`squeeze 0..1`");
         refused("columns = [\"masked_lpips\"]\nnetworks = { masked_lpips = \"alex 0..1\" }", "-1..1 alone");
+    }
+
+    #[test]
+    fn entries_can_be_named_in_a_list() {
+        let error =
+            parsed("columns = [\"psnr\"]\n[[entries]]\nname = \"b, c\"\nrun = \"modec\"").unwrap_err().to_string();
+        assert!(error.contains("b, c cannot stand in a list"), "{error}");
     }
 
     #[test]

@@ -225,9 +225,20 @@ pub(crate) fn trained_on(folder: &RunFolder, dataset: &Dataset) -> Option<bool> 
     is_of(&provenance, &digest(dataset), &details(dataset))
 }
 
-/// Whether a training in rounds began on these data; `None` if that is not known.
-pub fn began_on(folder: &RunFolder, dataset: &Dataset) -> Option<bool> {
-    is_of(&read(folder)?, &digest(dataset), &details(dataset))
+/// Hashes of a data set: of views and images, and of normalised times, lenses and depth maps.
+pub fn origin(dataset: &Dataset) -> [String; 2] {
+    [digest(dataset), details(dataset)]
+}
+
+/// Processor, number of threads and device of every session of a run; empty where that is not known.
+pub fn machines(folder: &RunFolder) -> Vec<String> {
+    let provenance = read(folder).unwrap_or_default();
+    let sessions = provenance["resumed"].as_array().into_iter().flatten().map(|session| &session["machine"]);
+    let text = |m: &Value| {
+        let device = m["device"].as_str().filter(|d| *d != CPU).map_or(String::new(), |d| format!(", {d}"));
+        Some(format!("{}, {} threads{device}", m["cpu"].as_str()?, m["threads"]))
+    };
+    std::iter::once(&provenance["machine"]).chain(sessions).filter_map(text).collect()
 }
 
 /// Digest of the data that a run was trained on last.

@@ -190,7 +190,7 @@ pub fn resolve(registry: &Registry, request: &Request) -> Result<Resolved, RunEr
     for assignment in &request.sets {
         const FLAGS: [(&str, &str); 3] =
             [("run.method", "-m"), ("run.preset", "--preset"), ("run.data", "the folder DATA")];
-        if let Some((key, flag)) = FLAGS.iter().find(|(key, _)| is_of(assignment, key)) {
+        if let Some((key, flag)) = FLAGS.iter().find(|(key, _)| assigns(assignment, key)) {
             return Err(ConfigError::Invalid(format!("{key} is set by {flag}, not by --set")).into());
         }
         config.set(assignment)?;
@@ -200,7 +200,7 @@ pub fn resolve(registry: &Registry, request: &Request) -> Result<Resolved, RunEr
 }
 
 /// Whether `KEY=VALUE` sets this key.
-pub fn is_of(assignment: &str, key: &str) -> bool {
+pub fn assigns(assignment: &str, key: &str) -> bool {
     assignment.split('=').next().is_some_and(|name| name.trim() == key)
 }
 

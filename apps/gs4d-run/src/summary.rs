@@ -319,3 +319,21 @@ fn plain(value: &Value) -> String {
         other => other.to_string(),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn histograms_of_different_ranges_share_an_axis() {
+        let of = |span, values: &[f32]| Histogram::of("speed", None, span, values);
+        let columns = [(1, of([0.0, 1.0], &[0.1, 0.9, 0.9])), (2, of([0.0, 4.0], &[0.1, 3.9]))];
+        let map = heat_map("speed".to_owned(), &columns);
+        assert_eq!((map.span, &map.steps[..]), ([0.0, 4.0], &[1, 2][..]));
+        let places =
+            |column: &[u32]| -> Vec<usize> { (0..column.len()).flat_map(|k| vec![k; column[k] as usize]).collect() };
+        // Bins of the shared axis are 1/16 wide.
+        assert_eq!(places(&map.counts[0]), [1, 14, 14]);
+        assert_eq!(places(&map.counts[1]), [1, 62]);
+    }
+}

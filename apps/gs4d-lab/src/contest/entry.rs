@@ -1,5 +1,8 @@
 //! Entries of a contest: a method with its own settings.
 
+/// Most letters of a folder's name; file systems take 255.
+const LONGEST_NAME: usize = 120;
+
 /// One entry of a contest: `METHOD[:PRESET] [KEY=VALUE …]`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Entry {
@@ -47,8 +50,15 @@ impl Entry {
         Ok(Self { label, method: method.to_owned(), preset, sets })
     }
 
-    /// Name of the folder of its trials.
+    /// Name of the folder of its trials; a long one is cut, and ends with a hash of the label.
     pub(super) fn slug(&self) -> String {
-        self.label.chars().map(|c| if c.is_ascii_alphanumeric() || "._-=".contains(c) { c } else { '_' }).collect()
+        let plain = |c: char| if c.is_ascii_alphanumeric() || "._-=".contains(c) { c } else { '_' };
+        let name: String = self.label.chars().map(plain).collect();
+        if name.len() <= LONGEST_NAME {
+            return name;
+        }
+        let hash = crc32fast::hash(self.label.as_bytes());
+        let begin: String = name.chars().take(LONGEST_NAME - 9).collect();
+        format!("{begin}-{hash:08x}")
     }
 }

@@ -26,8 +26,52 @@ fn entries_are_read_and_bad_ones_named() {
     assert_eq!((entry.method.as_str(), entry.preset.as_deref()), ("fourdgs", Some("tiny")));
     assert_eq!(entry.label, "fourdgs:tiny schedule.lambda_dssim=0.1");
     assert_eq!(entry.slug(), "fourdgs_tiny_schedule.lambda_dssim=0.1");
+    let long = |value: u32| {
+        let sets: String = (0..40).map(|k| format!(" schedule.lr.group{k}.start={value}e-4")).collect();
+        Entry::parse(&format!("fags{sets}")).unwrap().slug()
+    };
+    assert!(long(1).len() == 120 && long(1).starts_with("fags_schedule.lr.group0.start=1e-4_"), "{}", long(1));
+    assert_ne!(long(1), long(2));
     assert!(Entry::parse("").is_err());
     assert!(Entry::parse("fourdgs quick").unwrap_err().contains("`quick`"));
+}
+
+#[test]
+fn entries_are_scored_on_the_same_images() {
+    let folder = tempfile::tempdir().unwrap();
+    let base = tiny(folder.path(), 3, 2);
+    let refused = |second: &str, sets: &[&str]| {
+        let entries = ["static3d", second].map(|e| Entry::parse(e).unwrap()).to_vec();
+        let sets = sets.iter().map(|s| (*s).to_owned()).collect();
+        let contest = Contest { entries, sets, length: Length::Steps(1), ..base.clone() };
+        contest.plan().err().map(|e| e.to_string())
+    };
+    let other = refused("static3d schedule.background=black", &[]).unwrap();
+    assert!(
+        other.contains("not of the same images as those of static3d: schedule.background is white and black"),
+        "{other}"
+    );
+    let small = refused("static3d data.scale=0.5", &[]).unwrap();
+    assert!(small.contains("views differ in number, size or time"), "{small}");
+    assert_eq!(refused("static3d init.points=200", &["schedule.background=black"]), None);
+    // Random colours are scored over black.
+    assert_eq!(refused("static3d schedule.background=random", &["schedule.background=black"]), None);
+}
+
+#[test]
+fn a_pilot_is_the_same_for_any_seeds() {
+    let folder = tempfile::tempdir().unwrap();
+    let base = Contest {
+        entries: vec![Entry::parse("static3d").unwrap()],
+        length: Length::Seconds(5.0),
+        ..tiny(folder.path(), 3, 2)
+    };
+    let pilot = |seeds: &[u64]| {
+        let plan = Contest { seeds: seeds.to_vec(), ..base.clone() }.plan().unwrap();
+        assert!(plan.pilots && plan.jobs.len() == 1);
+        plan.jobs[0].command("gs4d").unwrap()
+    };
+    assert_eq!(pilot(&[3]), pilot(&[0, 3]));
 }
 
 #[test]

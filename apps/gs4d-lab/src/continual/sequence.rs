@@ -3,6 +3,7 @@
 use super::{LATER_RATE, Plan, Round, Rounds, TIME_TOLERANCE};
 use gs_data::{Dataset, View};
 use gs4d_run::config::{Config, Source};
+use gs4d_run::provenance::origin;
 use gs4d_run::settings::{self, resolve};
 use gs4d_run::{Resolved, RunError};
 use serde_json::{Map, Value, json};
@@ -59,6 +60,11 @@ impl Sequence {
             return Err(RunError::Rounds(format!("no training view lies before {}", self.rounds[k].last)));
         }
         Ok(Arc::new(part))
+    }
+
+    /// Hashes of the data of all rounds.
+    pub(super) fn origin(&self) -> Value {
+        json!(origin(&self.whole))
     }
 
     /// All that the result depends on, besides the data.

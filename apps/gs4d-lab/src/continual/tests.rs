@@ -169,3 +169,28 @@ fn another_plan_and_the_verb_resume_are_refused() {
     let error = run(&other, &root, false, &go, &mut |_| {}).unwrap_err();
     assert!(error.to_string().contains("lacks the scores of round 1"), "{error}");
 }
+
+#[test]
+fn rounds_do_not_go_on_with_other_data() {
+    let dir = tempfile::tempdir().unwrap();
+    let (from, root) = (dir.path().join("data"), dir.path().join("run"));
+    data(&from);
+    let plan = plan(&from);
+    let go = AtomicBool::new(false);
+    // It ends within the second round.
+    let stop = AtomicBool::new(false);
+    let ended = run(&plan, &root, false, &stop, &mut |event| {
+        if let Event::Step(p) = event {
+            stop.store(p.step >= 14, Ordering::Relaxed);
+        }
+    });
+    assert!(ended.unwrap().is_none());
+    // An image of a later round.
+    let last = from.join("train/r_023.png");
+    let image = std::fs::read(&last).unwrap();
+    std::fs::copy(from.join("train/r_000.png"), &last).unwrap();
+    let refused = run(&plan, &root, false, &go, &mut |_| {}).unwrap_err();
+    assert!(matches!(refused, RunError::DataChanged { .. }), "{refused}");
+    std::fs::write(&last, image).unwrap();
+    assert!(run(&plan, &root, false, &go, &mut |_| {}).unwrap().is_some(), "the data it began with");
+}

@@ -210,16 +210,21 @@ impl Findings {
         Ok(())
     }
 
-    /// Checks that a folder holds no result of the experiment `name`.
+    /// Checks that a folder holds no file in the place of a result of the experiment `name`.
     ///
     /// # Errors
     /// [`IoError::Exists`] with the file's name.
     pub fn vacant(name: &str, folder: &Path) -> Result<(), IoError> {
-        let file = folder.join(format!("{name}.json"));
-        if file.symlink_metadata().is_ok() {
-            return Err(IoError::Exists { file: file.display().to_string().into() });
+        let Ok(files) = std::fs::read_dir(folder) else { return Ok(()) };
+        let ours = |file: &str| {
+            let chart = file.strip_prefix(name).is_some_and(|rest| rest.starts_with('-') && rest.ends_with(".svg"));
+            chart || ["json", "csv", "md", "svg"].iter().any(|ending| file == format!("{name}.{ending}"))
+        };
+        let names = files.flatten().map(|file| file.file_name().to_string_lossy().into_owned());
+        match names.filter(|file| ours(file)).min() {
+            Some(file) => Err(IoError::Exists { file: folder.join(file).display().to_string().into() }),
+            None => Ok(()),
         }
-        Ok(())
     }
 }
 
@@ -275,5 +280,11 @@ mod tests {
         assert!(matches!(Findings::vacant("probe", &folder), Err(IoError::Exists { .. })));
         assert!(matches!(f.write(&folder, false), Err(WriteError::Io(IoError::Exists { .. }))));
         f.write(&folder, true).unwrap();
+        // Any file in the place of a result is found before the experiment is made.
+        ["probe.json", "probe.md", "probe.svg"].iter().for_each(|n| std::fs::remove_file(folder.join(n)).unwrap());
+        assert!(
+            matches!(Findings::vacant("probe", &folder), Err(IoError::Exists { file }) if file.ends_with("probe.csv"))
+        );
+        Findings::vacant("pro", &folder).unwrap();
     }
 }

@@ -1,7 +1,7 @@
 //! The runs of a comparison with their data, the conditions they must share, and their names.
 
 use crate::compare::Options;
-use crate::provenance::DataOrigin;
+use crate::provenance::{DataOrigin, trained_on};
 use crate::score_table::size_text;
 use crate::summary::color_name;
 use crate::{OpenRun, RunError, folder};
@@ -70,6 +70,11 @@ impl Side {
         let provenance: Option<Value> = provenance.and_then(|text| serde_json::from_str(&text).ok());
         let machine = provenance.map(|p| p["machine"].clone()).filter(|m| m.is_object());
         Ok(Self { path: path.to_owned(), run, log, dataset, machine })
+    }
+
+    /// Whether the data may be those that the run was trained on, as far as it knows.
+    pub fn may_be_of_its_data(&self) -> bool {
+        !self.run.folder().is_ok_and(|folder| trained_on(folder, &self.dataset) == Some(false))
     }
 
     /// The conditions that must agree: name and value.

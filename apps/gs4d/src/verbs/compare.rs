@@ -80,6 +80,10 @@ impl Compare {
         for path in &self.runs {
             let side = Side::open(gs_methods::registry(), path, self.place.data.as_deref())?;
             say_skipped(path, &side.run.skipped, global);
+            if !side.may_be_of_its_data() {
+                let path = path.display();
+                global.say(format!("warning: {path} was trained on other data than it is scored on"));
+            }
             sides.push(side);
         }
         let options = Options { split: self.split.into(), background: self.background, shown: self.views.into() };

@@ -9,7 +9,7 @@ use crate::output::create_folder;
 use crate::parse;
 use gs_core::io::write_file;
 use gs4d_lab::aligned;
-use gs4d_lab::contest::{Contest, Entry, Length, Results, SCORES, Score, Spread, Standing, Trial};
+use gs4d_lab::contest::{Contest, Entry, Length, Results, SCORES, Score, Spread, Standing, Trial, machines};
 use gs4d_report::html::{self, section};
 use gs4d_run::RunError;
 use gs4d_run::compare::page::course;
@@ -125,8 +125,10 @@ fn rows(standings: &[Standing]) -> (Vec<&'static str>, Vec<Vec<String>>) {
 fn remark(standings: &[Standing]) -> String {
     let seconds: f64 = standings.iter().flat_map(|s| &s.trials).filter_map(|t| t.scores.train_seconds).sum();
     let time = time_text(seconds);
+    let machines = machines(standings).into_iter().collect::<Vec<_>>();
+    let unlike = if machines.len() > 1 { format!("; not alike: {}", machines.join("; ")) } else { String::new() };
     format!(
-        "dB: PSNR less that of the first entry with the same seed; ± one standard deviation over seeds; {time} of training"
+        "dB: PSNR less that of the first entry with the same seed; ± one standard deviation over seeds; {time} of training{unlike}"
     )
 }
 

@@ -9,7 +9,7 @@ use gs_data::DataOptions;
 use gs4d_doctor::{
     CheckOptions, Checkup, CostOptions, Finding, Outlines, Verdict, apply, examine_and_tell, is_page, page,
 };
-use gs4d_run::settings::{Request, is_of, resolve};
+use gs4d_run::settings::{Request, assigns, resolve};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -149,7 +149,7 @@ impl Doctor {
     /// Refuses to write what a flag overrides: the next check would find it again, and add to it.
     fn check_fix(&self) -> Result<(), Failure> {
         let times = ["data.time_shift", "data.time_range"];
-        let set = |key: &&str| self.sets.iter().any(|s| is_of(s, key));
+        let set = |key: &&str| self.sets.iter().any(|s| assigns(s, key));
         match times.iter().find(|key| self.fix && set(key)) {
             Some(key) => {
                 Err(Failure::usage(format!("--fix writes times into scene.toml, and --set {key} overrides them"))

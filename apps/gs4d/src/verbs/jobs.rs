@@ -40,7 +40,7 @@ pub type ResultFile = (&'static str, &'static str);
 
 impl Jobs {
     /// Fails if a file that gs4d did not write is in the place of results, unless forced.
-    pub fn check_results(&self, root: &Path, files: &[ResultFile]) -> Result<(), Failure> {
+    pub fn check_results<N: AsRef<Path>>(&self, root: &Path, files: &[(N, &str)]) -> Result<(), Failure> {
         let foreign = files.iter().filter_map(|(name, words)| {
             let path = root.join(name);
             let holds_words = || fs::read(&path).is_ok_and(|text| String::from_utf8_lossy(&text).contains(words));

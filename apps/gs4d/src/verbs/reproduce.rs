@@ -3,7 +3,7 @@
 mod nightly;
 
 use super::eval::{RangeName, read_lpips};
-use super::jobs::{Jobs, ResultFile, check_seeds, with_missing};
+use super::jobs::{Jobs, check_seeds, with_missing};
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
@@ -70,9 +70,11 @@ pub struct ReproduceVerb {
     check: Option<PathBuf>,
 }
 
-/// The files of results.
-const FILES: [ResultFile; 2] =
-    [("reproduce.json", "\"protocol\""), ("reproduce.html", "less published: the first column")];
+/// The files of a table's results, each with words that it holds.
+fn files(table: &Table) -> [(String, &'static str); 2] {
+    let name = table.full_name();
+    [(format!("{name}.json"), "\"protocol\""), (format!("{name}.html"), "less published: the first column")]
+}
 
 impl ReproduceVerb {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
@@ -132,11 +134,12 @@ fn weights(files: &[PathBuf]) -> Result<Vec<Lpips>, Failure> {
 
 fn reproduce(reproduction: &Reproduction, weights: &[Lpips], jobs: &Jobs, global: &Global) -> Result<Answer, Failure> {
     let root = &reproduction.conditions.root;
-    let contests = contests(reproduction)?;
+    let contests = contests(reproduction, global)?;
     if let Some(list) = jobs.plan(&contests, global)? {
         return Ok(list);
     }
-    jobs.check_results(root, &FILES)?;
+    let files = files(&reproduction.table);
+    jobs.check_results(root, &files)?;
     let results: Vec<Results> = contests.iter().map(|c| jobs.results(c, global)).collect::<Result<_, _>>()?;
     let outcome = outcome(reproduction, &results, weights, global)?;
     let none_stands = results.iter().all(Results::none_stands);
@@ -145,16 +148,21 @@ fn reproduce(reproduction: &Reproduction, weights: &[Lpips], jobs: &Jobs, global
     let mut text = String::new();
     if !none_stands {
         text.push_str(&page::text(&outcome));
-        write_page(root, &outcome, &json)?;
-        text.push_str(&format!("-> {}\n", root.join("reproduce.html").display()));
+        write_page(reproduction, &outcome, &json)?;
+        text.push_str(&format!("-> {}\n", root.join(&files[1].0).display()));
     }
     jobs.judge(Answer::new(text, json), missing, global)
 }
 
 /// Writes the generated scenes of a table; its contests.
-fn contests(reproduction: &Reproduction) -> Result<Vec<Contest>, Failure> {
+fn contests(reproduction: &Reproduction, global: &Global) -> Result<Vec<Contest>, Failure> {
     create_folder(&reproduction.conditions.root.join("data"))?;
-    reproduction.prepare().map_err(gs4d_run::RunError::from)?;
+    for other in reproduction.prepare().map_err(gs4d_run::RunError::from)? {
+        let folder = other.display();
+        global.say(format!(
+            "warning: {folder} is not the scene that this version generates: its trials are of what is there"
+        ));
+    }
     reproduction.contests(gs_methods::registry()).map_err(unknown)
 }
 
@@ -171,9 +179,10 @@ fn outcome(
 }
 
 /// Writes the page of a table into its folder.
-fn write_page(root: &Path, outcome: &Outcome, json: &Value) -> Result<(), Failure> {
-    for ((name, _), content) in FILES.iter().zip([format!("{json:#}\n"), page::html(outcome)]) {
-        write_file(&root.join(name), true, |out| out.write_all(content.as_bytes()))?;
+fn write_page(reproduction: &Reproduction, outcome: &Outcome, json: &Value) -> Result<(), Failure> {
+    for ((name, _), content) in files(&reproduction.table).iter().zip([format!("{json:#}\n"), page::html(outcome)]) {
+        let path = reproduction.conditions.root.join(name);
+        write_file(&path, true, |out| out.write_all(content.as_bytes()))?;
     }
     Ok(())
 }

@@ -1,6 +1,6 @@
 //! `gs4d reproduce nightly`: the papers' orders on few generated scenes.
 
-use super::{ReproduceVerb, contests, failure, outcome, weights, write_page};
+use super::{ReproduceVerb, contests, failure, files, outcome, weights, write_page};
 use crate::answer::Answer;
 use crate::failure::Failure;
 use crate::global::Global;
@@ -73,14 +73,14 @@ impl Job {
         let (mut all, mut names) = (Vec::new(), Vec::new());
         for table in &self.tables {
             names.extend(table.scenes.iter().map(|s| format!("{} / {}", table.table.full_name(), s.name())));
-            all.extend(contests(table)?);
+            all.extend(contests(table, global)?);
         }
         if let Some(list) = self.jobs.plan(&all, global)? {
             return Ok(list);
         }
         self.jobs.check_results(&self.root, &FILES)?;
         for table in &self.tables {
-            self.jobs.check_results(&table.conditions.root, &super::FILES)?;
+            self.jobs.check_results(&table.conditions.root, &files(&table.table))?;
         }
         let mut results = self.jobs.all_results(&all, &names, global)?.into_iter();
         let (mut outcomes, mut missing, mut stands) = (Vec::new(), Vec::new(), false);
@@ -90,7 +90,7 @@ impl Job {
             let own_stands = !results.iter().all(Results::none_stands);
             let own: Vec<TrialError> = results.into_iter().flat_map(|r| r.missing).collect();
             if let Some(outcome) = outcomes.last().filter(|_| own_stands) {
-                write_page(&table.conditions.root, outcome, &with_missing(json!(outcome), &own))?;
+                write_page(table, outcome, &with_missing(json!(outcome), &own))?;
             }
             stands |= own_stands;
             let named = |m: TrialError| TrialError { trial: format!("{} / {}", table.table.full_name(), m.trial), ..m };
