@@ -318,6 +318,31 @@ mod tests {
     }
 
     #[test]
+    fn motion_is_that_of_quantised_images() {
+        let root = tempfile::tempdir().unwrap();
+        let (pred, gt) = (root.path().join("pred"), root.path().join("gt"));
+        video(&pred, "a", 6, 1.5);
+        video(&gt, "a", 6, 1.0);
+        let tof = |pred: &Path, quantise| {
+            let options = TofOptions { trim: false, crop: false };
+            let task = FolderTask { pred: pred.to_owned(), tof: Some(options), quantise, ..task(root.path()) };
+            score(&task).unwrap().tof.unwrap().mean
+        };
+        // The same frames, each value off by up to a third of a step of 8 bit.
+        let finer = root.path().join("finer");
+        std::fs::create_dir(&finer).unwrap();
+        for k in 0..6 {
+            let mut image = load_over(&pred.join(format!("a{k}.png")), [0.0; 3]).unwrap().image;
+            let off = |i: usize| ((i * 7919 % 101) as f32 / 50.0 - 1.0) / 3.0 / 255.0;
+            image.data.iter_mut().enumerate().for_each(|(i, v)| *v += off(i));
+            gs_core::io::exr::save(&finer.join(format!("a{k}.exr")), &image, false).unwrap();
+        }
+        let rounded = tof(&pred, Quantise::None);
+        assert_eq!(tof(&finer, Quantise::Round), rounded);
+        assert_ne!(tof(&finer, Quantise::Truncate), rounded);
+    }
+
+    #[test]
     fn what_cannot_be_scored_says_so() {
         let root = tempfile::tempdir().unwrap();
         video(&root.path().join("pred"), "a", 4, 1.0);

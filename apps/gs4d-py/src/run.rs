@@ -12,19 +12,23 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::PathBuf;
+use std::sync::OnceLock;
 
 /// A camera as the package passes it: viewmat and K row by row, width, height.
 type Matrices = ([f64; 16], [f64; 9], u32, u32);
 
 /// A run, open for reading.
 #[pyclass(frozen)]
-pub(crate) struct Run(OpenRun);
+pub(crate) struct Run(OpenRun, OnceLock<Vec<Training>>);
+
+/// Name, camera and normalised time of a training view.
+type Training = (String, Camera, f32);
 
 /// Opens a run folder, a checkpoint or a compact file; `data` is where its data went.
 #[pyfunction]
 pub(crate) fn open_run(py: Python<'_>, path: PathBuf, data: Option<PathBuf>) -> PyResult<Run> {
     let run = py.detach(|| OpenRun::open_with(gs_methods::registry(), &path, data.as_deref()));
-    run.map(Run).map_err(|e| PyValueError::new_err(format!("{}: {e}", path.display())))
+    run.map(|run| Run(run, OnceLock::new())).map_err(|e| PyValueError::new_err(format!("{}: {e}", path.display())))
 }
 
 fn error(e: impl std::fmt::Display) -> PyErr {
@@ -42,11 +46,13 @@ impl Run {
         self.0.kept().unwrap_or_default()
     }
 
-    /// Name, camera and normalised time of the training views, or of those that were kept, as they were learnt.
-    fn views(&self) -> Vec<(String, Camera, f32)> {
-        let (views, placed) = (self.0.training_views().unwrap_or_default(), self.0.placed());
-        let learnt = views.iter().map(|view| placed.view(view));
-        learnt.map(|view| (view.name, view.camera, view.time.normalised)).collect()
+    /// The training views, or those that were kept, as they were learnt; the data are opened once.
+    fn views(&self) -> &[Training] {
+        self.1.get_or_init(|| {
+            let (views, placed) = (self.0.training_views().unwrap_or_default(), self.0.placed());
+            let learnt = views.iter().map(|view| placed.view(view));
+            learnt.map(|view| (view.name, view.camera, view.time.normalised)).collect()
+        })
     }
 
     /// The camera asked for; else a training camera, or one at the origin.
@@ -54,8 +60,8 @@ impl Run {
         if let Some((viewmat, k, width, height)) = matrices {
             return camera(0, viewmat, k, width, height);
         }
-        match self.views().into_iter().next() {
-            Some((_, camera, _)) => Ok(camera),
+        match self.views().first() {
+            Some((_, camera, _)) => Ok(camera.clone()),
             None => Camera::look_at(64, 64, 1.0, DVec3::ZERO, DVec3::Z, DVec3::NEG_Y).map_err(error),
         }
     }
@@ -93,12 +99,12 @@ impl Run {
             (c.viewmat().transpose().to_cols_array(), k, c.width, c.height)
         };
         let views = py.detach(|| self.views());
-        views.into_iter().map(|(name, camera, time)| (name, of(&camera), time)).collect()
+        views.iter().map(|(name, camera, time)| (name.clone(), of(camera), *time)).collect()
     }
 
     /// All splats at a normalised time, in the same order at every time.
     fn splats<'py>(&self, py: Python<'py>, t: f64, camera: Option<Matrices>) -> PyResult<Bound<'py, PyDict>> {
-        let (at, camera, pool) = (timestamp(t)?, self.camera(camera)?, pool(None)?);
+        let (at, camera, pool) = (timestamp(t)?, py.detach(|| self.camera(camera))?, pool(None)?);
         let splats = py.detach(|| pool.install(|| self.0.loaded.model.all_splats(&at, &camera))).map_err(error)?;
         columns(py, splats)
     }

@@ -54,6 +54,8 @@ class Run:
     def cameras(self):
         """Training views: dictionaries of ``name``, ``viewmat`` [4, 4], ``K`` [3, 3], ``width``, ``height`` and ``t``.
 
+        Matrices are float64; beside the float32 columns of ``splats``, ``rasterization`` takes them ``.astype(numpy.float32)``.
+
         Cameras and times are as they were learnt, where the run corrected them. Without the data there are those that the run kept: at most 16,
         evenly spaced.
         """

@@ -50,6 +50,9 @@ fn runs_of_other_data_are_refused() {
     let call = ["compare", text(run()), text(&other), "-o", text(&page)];
     gs4d(&call).fails(3, &["not of the same data", "size (48×48, 32×32)", "data digest"]);
     assert!(!page.exists());
+    let on_the_small = good(&["compare", text(run()), text(&other), "--data", text(&small)]).err;
+    assert!(on_the_small.contains(&format!("{} was trained on other data", run().display())), "{on_the_small}");
+    assert_eq!(on_the_small.matches("was trained on other data").count(), 1, "{on_the_small}");
     gs4d(&["compare", text(run())]).fails(2, &["RUN"]);
     gs4d(&["compare", text(run()), text(&small)]).fails(3, &["no run folder"]);
     gs4d(&["compare", text(run()), text(run()), "--against", "first"]).fails(2, &["--out"]);

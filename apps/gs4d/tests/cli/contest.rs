@@ -62,6 +62,9 @@ fn trials_are_scored_kept_and_never_mixed_up() {
     assert_eq!(read("compare.csv"), "mine");
     contest(good, &["--steps", "12", "--seeds", "0,1", "-f"]);
     assert_eq!(read("compare.csv"), before[1]);
+    assert!(!again.out.contains("not alike"));
+    let mixed = contest(good, &["--steps", "12", "--seeds", "0,1,2", "--threads", "7"]).out;
+    assert!(mixed.contains("; not alike: ") && mixed.contains(", 7 threads"), "{mixed}");
 }
 
 #[test]

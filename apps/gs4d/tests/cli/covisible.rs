@@ -18,6 +18,11 @@ fn a_capture_reads_the_masks_that_were_made_for_it() {
     let views = json["views"].as_array().unwrap();
     assert_eq!(views.len(), 3);
     assert!(json["use"].as_str().unwrap().contains("scored with them"), "{json}");
+    let uses = |json: &serde_json::Value| json["use"].as_str().unwrap().to_owned();
+    assert!(uses(&json).contains("scored with them"), "{json}");
+    let other_way = data.join("rgb/../covisible/2x/val");
+    let same = ["covisible", text(&data), "-o", text(&other_way), "--least", "2", "-f", "--json"];
+    assert_eq!(uses(&good(&same).json()), uses(&json), "one folder, however it is written");
     let read = Dataset::open(&data, &DataOptions::default()).unwrap();
     let images = ImageCache::new(0, 1.0);
     for (view, written) in read.test.iter().zip(views) {

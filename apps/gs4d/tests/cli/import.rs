@@ -117,6 +117,15 @@ fn programs_that_are_not_there_are_named_with_their_package() {
 
 #[cfg(unix)]
 #[test]
+fn a_camera_that_is_not_there_is_named_before_any_program_runs() {
+    let desk = Desk::new().all();
+    desk.import(&["--held-out", "3"]).fails(3, &["no camera 3 to hold out", "from 0 to 2"]);
+    assert_eq!(desk.calls(""), 0);
+    assert!(desk.import(&["--held-out", "2"]).out.contains("held out"), "the same folder goes on");
+}
+
+#[cfg(unix)]
+#[test]
 fn a_program_that_fails_is_quoted_and_what_was_done_is_kept() {
     let desk = Desk::new().all();
     fs::write(desk.at("broken"), "").unwrap();

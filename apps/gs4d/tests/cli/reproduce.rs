@@ -55,7 +55,7 @@ fn a_table_is_run_beside_its_figures_and_collected() {
     assert!(call.code == 7 && call.err.contains("trials without a result: 8"), "{}", call.err);
 
     let answer = with(good, &[]).out;
-    for part in ["hook", "40.18", "FAGS less Grid4D: published +0.77 dB", "(95 %, 2 pairs): no order is shown"] {
+    for part in ["hook", "40.18", "FAGS less Grid4D: published +1.29 dB", "(95 %, 2 pairs): no order is shown"] {
         assert!(answer.contains(part), "`{part}` is not in {answer}");
     }
     let json = with(good, &["--collect", "--json"]).json();
@@ -65,7 +65,7 @@ fn a_table_is_run_beside_its_figures_and_collected() {
     assert!(entry["values"][0]["ours"]["mean"].as_f64().unwrap() > 3.0 && entry["values"][2]["ours"].is_null());
     let not_run: Vec<&str> = json["not_run"].as_array().unwrap().iter().map(|n| n["what"].as_str().unwrap()).collect();
     assert!(["mutant", "SC-GS", "lpips"].iter().all(|what| not_run.contains(what)), "{not_run:?}");
-    let page = fs::read_to_string(out.join("reproduce.html")).unwrap();
+    let page = fs::read_to_string(out.join("fags-dnerf.html")).unwrap();
     assert!(page.contains("copying errors") && page.contains("The order of methods") && !page.contains("src=\"http"));
 }
 
@@ -173,7 +173,7 @@ fn the_papers_orders_are_listed_run_and_go_on() {
     assert!(call.out.contains("Of 7 published orders, on waves-a, "), "{}", call.out);
     assert!(call.err.contains("fags-ablation / waves-a / fags:tiny "), "{}", call.err);
     let page = fs::read_to_string(out.join("nightly.md")).unwrap();
-    assert!(call.out.starts_with(&page) && out.join("fags-ablation/reproduce.html").is_file());
+    assert!(call.out.starts_with(&page) && out.join("fags-ablation/fags-ablation.html").is_file());
 
     let entry = fs::read_dir(out.join("fags-ablation/waves-a")).unwrap().next().unwrap().unwrap().path();
     fs::remove_dir_all(entry.join("seed-1")).unwrap();

@@ -132,6 +132,10 @@ fn going_on_needs_a_checkpoint_and_says_where_a_budget_ended() {
     let short = [&base[..], &["--steps", "6"]].concat();
     good(&short);
     assert!(good(&short).err.contains("nothing is left to train"));
+    let trained = state(&out);
+    fs::remove_file(out.join("report.html")).unwrap();
+    good(&short);
+    assert!(out.join("report.html").exists() && state(&out) == trained, "a report that is missing is written");
     fs::remove_dir_all(out.join("checkpoints")).unwrap();
     fs::create_dir(out.join("checkpoints")).unwrap();
     gs4d(&short).fails(3, &["there is no checkpoint in", "-f"]);

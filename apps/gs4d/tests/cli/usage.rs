@@ -18,6 +18,18 @@ fn wrong_use_exits_with_two() {
     assert!(good(&["--help"]).out.contains("Exit codes"));
 }
 
+/// A run has one way to be scored, folders another.
+#[test]
+fn options_of_runs_and_of_folders_are_not_mixed() {
+    let folders = ["eval", "--pred", "a", "--gt", "b"];
+    for more in [&["--split", "val"][..], &["--data", "d"], &["--device", "cpu"], &["--fit-colors"], &["run"]] {
+        gs4d(&[&folders[..], more].concat()).fails(2, &["cannot be used with"]);
+    }
+    gs4d(&["eval", "run", "--mask", "m"]).fails(2, &["cannot be used with", "--mask"]);
+    gs4d(&["eval", "run", "--half", "--fit-colors"]).fails(2, &["cannot be used with"]);
+    gs4d(&["eval", "run", "--lpips-range", "unit"]).fails(2, &["--lpips"]);
+}
+
 /// A negative number is refused as a value, not taken for a flag.
 #[test]
 fn negative_numbers_are_values() {
@@ -120,6 +132,14 @@ fn scenes_are_written_once() {
     assert!(out.join("transforms_train.json").is_file() && out.join("truth.json").is_file());
     gs4d(&call).fails(6, &["not empty", "-f"]);
     good(&[&call[..], &["-f"]].concat());
+    // What would be read with the new scene, and is not written anew, must go first.
+    let rig = ["--cameras", "2", "--held-out", "1", "--moments", "3", "--size", "16"];
+    let over = |scene: &str, more: &[&str]| gs4d(&[&["synth", scene, "-o", text(&out), "-f"][..], more].concat());
+    over("falling", &rig).fails(6, &["transforms_val.json", "earlier data set", "remove it"]);
+    over("balls", &["--layout", "nerfies", "--size", "16"]).fails(6, &["transforms_train.json"]);
+    over("avatar", &["--size", "16"]).fails(6, &["truth.json"]);
+    gs4d(&["synth", "balls", "--layout", "nerfies", "--truth", "-o", text(&dir.path().join("n"))])
+        .fails(2, &["--truth"]);
     gs4d(&["synth", "nowhere", "-o", text(&dir.path().join("x"))]).fails(2, &["nowhere", "balls"]);
     gs4d(&["synth", "balls"]).fails(2, &["-o DIR"]);
 }
