@@ -34,10 +34,13 @@ impl Metric {
 pub struct ImageScores {
     /// Name of the image, without extension.
     pub name: String,
-    /// Mean squared error over pixels and channels.
+    /// Whether the image equals its ground truth.
+    #[serde(skip)]
+    pub perfect: bool,
+    /// Mean squared error over pixels and channels; absent if PSNR was not asked for.
     #[serde(skip)]
     pub mse: Option<f64>,
-    /// PSNR, dB; absent where it is infinite.
+    /// PSNR, dB; absent where it is infinite, or not asked for.
     pub psnr: Option<f64>,
     /// SSIM, at most 1; absent if not asked for.
     pub ssim: Option<f64>,
@@ -51,13 +54,6 @@ pub struct ImageScores {
     /// Scores within the mask; absent without mask, or with an empty one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub masked: Option<MaskedScores>,
-}
-
-impl ImageScores {
-    /// Whether the image equals its ground truth, as far as the error was computed.
-    pub fn mse_is_zero(&self) -> bool {
-        self.mse == Some(0.0)
-    }
 }
 
 /// Means of the scores over the images of a set.
@@ -132,7 +128,8 @@ impl Comparer {
     /// # Errors
     /// If shapes differ, values are not finite, or an image is too small for SSIM.
     pub fn add(&mut self, name: &str, image: &Image, truth: &Image, mask: Option<&Image>) -> Result<(), MetricError> {
-        let mut scores = ImageScores { name: name.to_owned(), ..ImageScores::default() };
+        let mut scores =
+            ImageScores { name: name.to_owned(), perfect: image.data == truth.data, ..ImageScores::default() };
         for metric in self.metrics.clone() {
             match metric {
                 Metric::Psnr => scores.mse = Some(mse(image, truth)?),
@@ -165,7 +162,7 @@ impl Comparer {
                 masked: MaskedScores::mean(self.views.iter().filter_map(|v| v.masked)),
             },
             psnr_of_mean_mse: psnr_of_mean_mse(&mses).filter(|p| p.is_finite()),
-            perfect_views: self.views.iter().filter(|v| v.mse_is_zero()).count(),
+            perfect_views: self.views.iter().filter(|v| v.perfect).count(),
             views: self.views,
         }
     }
@@ -185,6 +182,10 @@ mod tests {
         c.add("same", &flat(0.5), &flat(0.5), None).unwrap();
         c.add("off", &flat(0.5), &flat(0.6), None).unwrap();
         let s = c.finish();
+        let mut unasked = Comparer::new(&[Metric::Ssim]);
+        unasked.add("same", &flat(0.5), &flat(0.5), None).unwrap();
+        let unasked = unasked.finish();
+        assert_eq!((unasked.perfect_views, unasked.mean.psnr, unasked.psnr_of_mean_mse), (1, None, None));
         assert!((s.mean.psnr.unwrap() - 20.0).abs() < 1e-4 && s.perfect_views == 1 && s.views[0].psnr.is_none());
         assert!((s.psnr_of_mean_mse.unwrap() - psnr_from_mse(0.005)).abs() < 1e-4);
         assert_eq!((s.views[0].ssim, s.mean.ms_ssim), (Some(1.0), None));

@@ -125,8 +125,9 @@ pub struct TrackPoint {
     pub place: [f64; 3],
     /// Distance from the measured position, world units.
     pub error: f64,
-    /// The same distance for extrapolation at the velocity of the last two measurements in the training span.
-    pub constant_velocity: f64,
+    /// The same distance for extrapolation at the velocity of the last two measurements in the training span;
+    /// none for a single one.
+    pub constant_velocity: Option<f64>,
     /// The same for the least-squares parabola through the measurements in the training span; none for fewer than four.
     pub measured_parabola: Option<f64>,
     /// The same for the parabola through the body's own places at these times.
@@ -160,7 +161,7 @@ impl TrackReport {
         heads.iter().for_each(|head| text.push_str(&format!("  {head:>17}")));
         for m in self.moments.iter().filter(|m| m.ahead >= 0) {
             text.push_str(&format!("\n{:>8.4}  {:>6}", m.t, m.ahead));
-            for value in [Some(m.error), Some(m.constant_velocity), m.measured_parabola, m.kalman, m.own_parabola] {
+            for value in [Some(m.error), m.constant_velocity, m.measured_parabola, m.kalman, m.own_parabola] {
                 text.push_str(&value.map_or(format!("  {:>17}", "-"), |v| format!("  {v:>17.4}")));
             }
         }
@@ -194,10 +195,8 @@ pub fn follow(
     let (begin, from) = track.places[anchor];
     let body = Body::near(&method.all_splats(&Timestamp::new(begin), camera)?, from, radius);
     let Some(body) = body else { return Err(TrackError::Nothing { radius, t: begin.normalised }) };
-    let velocity = match anchor.checked_sub(1).map(|i| track.places[i]) {
-        Some((t, x)) if begin.normalised > t.normalised => (from - x) / f64::from(begin.normalised - t.normalised),
-        _ => DVec3::ZERO,
-    };
+    let before = anchor.checked_sub(1).map(|i| track.places[i]).filter(|(t, _)| begin.normalised > t.normalised);
+    let velocity = before.map(|(t, x)| (from - x) / f64::from(begin.normalised - t.normalised));
     let own = |(t, _): &(Time, DVec3)| Ok((t.seconds, body.centre(&method.all_splats(&Timestamp::new(*t), camera)?)));
     let ours = track.places.iter().map(own).collect::<Result<Vec<_>, MethodError>>()?;
     let theirs: Vec<_> = track.places.iter().map(|(t, x)| (t.seconds, *x)).collect();
@@ -205,7 +204,7 @@ pub fn follow(
     let kalman = Kalman::of(&theirs[..seen]);
     let point = |i: usize| {
         let ((t, x), (_, place)) = (track.places[i], ours[i]);
-        let straight = from + velocity * f64::from(t.normalised - begin.normalised);
+        let straight = velocity.map(|v| from + v * f64::from(t.normalised - begin.normalised));
         let off = |p: &Parabola| p.at(t.seconds).distance(x);
         TrackPoint {
             t: t.normalised,
@@ -213,7 +212,7 @@ pub fn follow(
             ahead: i as i64 - anchor as i64,
             place: place.to_array(),
             error: place.distance(x),
-            constant_velocity: straight.distance(x),
+            constant_velocity: straight.map(|s| s.distance(x)),
             measured_parabola: measured.as_ref().map(off),
             own_parabola: own.as_ref().map(off),
             kalman: kalman.map(|k| k.at(t.seconds).distance(x)),

@@ -275,6 +275,39 @@ fn the_motion_of_a_scene_is_that_of_its_material_points() {
     assert!(whole.moving > 0 && whole.velocity > 0.3 * want.velocity && whole.velocity < 3.0 * want.velocity);
 }
 
+/// Labels at the first moment see the same paths as labels at the last.
+#[test]
+fn bodies_are_found_at_the_first_moment() {
+    let cast = Cast::new("projectile", None);
+    for count in [Count::Fixed(2), Count::Auto] {
+        let first = cast.segment(&Options { count, at: Some(0.0), ..Options::default() });
+        assert!(first.resting.contains(&true) && first.resting.contains(&false), "{count:?}");
+        let splats = cast.score_of_splats(&first);
+        assert!(first.k == 2 && splats.miou > 0.9, "{count:?}: {splats:?}");
+    }
+}
+
+/// Three times as many moments: the same speed, a third of the change from one moment to the next.
+#[test]
+fn changes_of_velocity_are_those_between_training_times() {
+    let cast = Cast::new("balls", None);
+    let timed = |count: u32| {
+        let view = &cast.data.dataset.train[0];
+        let at = |k| {
+            let mut view = view.clone();
+            view.time.normalised = k as f32 / (count - 1) as f32;
+            view
+        };
+        let mut dataset = cast.data.dataset.without_views();
+        dataset.train = (0..count).map(at).collect();
+        scene_complexity(&cast.model(), &dataset).unwrap()
+    };
+    let (few, many) = (timed(61), timed(181));
+    assert!((many.velocity / few.velocity - 1.0).abs() < 1e-3, "{few:?} {many:?}");
+    assert!((many.acceleration / few.acceleration - 1.0 / 3.0).abs() < 1e-3, "{few:?} {many:?}");
+    assert!((many.acceleration_per_time / few.acceleration_per_time - 1.0).abs() < 1e-3, "{few:?} {many:?}");
+}
+
 #[test]
 fn the_strongest_part_or_the_background_is_shown() {
     let camera = Camera::look_at(16, 16, 0.7, DVec3::new(0.0, 0.0, -4.0), DVec3::ZERO, DVec3::Y).unwrap();

@@ -161,7 +161,13 @@ fn load_npy(path: &Path) -> Result<Image, FolderError> {
             return Err(FolderError::Image { path: path.to_owned(), what, remedy: "give [H, W] or [H, W, C]" });
         }
     };
-    Ok(Image { width, height, channels, data: array.to_f32() })
+    let data = array.to_f32();
+    if data.iter().any(|v| *v > 1.0) && data.iter().all(|v| v.fract() == 0.0) {
+        let greatest = data.iter().fold(0.0f32, |m, v| m.max(*v));
+        let what = format!("an array of whole numbers up to {greatest}");
+        return Err(FolderError::Image { path: path.to_owned(), what, remedy: "divide it: colours are 0 to 1" });
+    }
+    Ok(Image { width, height, channels, data })
 }
 
 #[cfg(test)]
@@ -177,6 +183,26 @@ mod tests {
 
     fn names(found: Vec<&ImageFile>) -> Vec<&str> {
         found.into_iter().map(|p| p.name.as_str()).collect()
+    }
+
+    #[test]
+    fn arrays_of_whole_numbers_are_no_colours() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.npy");
+        let read = |values: &[f32]| {
+            let mut bytes = Vec::new();
+            npy::write(&[1, 2, 3], values, &mut bytes).unwrap();
+            std::fs::write(&path, bytes).unwrap();
+            load_npy(&path)
+        };
+        assert_eq!(
+            read(&[0.0, 1.0, 1.0, 0.0, 0.0, 1.0]).unwrap().shape(),
+            (1, 2, 3),
+            "black, white and masks are colours"
+        );
+        assert_eq!(read(&[0.0, 1.5, 2.0, 0.0, 0.0, 1.0]).unwrap().data[1], 1.5, "so is what is brighter than white");
+        let e = read(&[0.0, 255.0, 128.0, 7.0, 0.0, 1.0]).unwrap_err().to_string();
+        assert!(e.contains("whole numbers up to 255") && e.contains("divide"), "{e}");
     }
 
     #[test]

@@ -47,7 +47,7 @@ pub struct Options {
     pub static_path: f32,
     /// Weight `β` of positions (over the scene's radius) in the features; 0 leaves them out.
     pub positions: f32,
-    /// Number of times at which paths are sampled, at least 2.
+    /// Number of times at which paths are sampled, at least 2, from 0 to `observed`, or to `at` if that is later.
     pub moments: usize,
     /// Seed of the random numbers.
     pub seed: u64,
@@ -108,7 +108,8 @@ pub fn segment(method: &Model, options: &Options) -> Result<Labels, SegmentError
     let learnt = Particles::of(method);
     let at = options.at.unwrap_or_else(|| learnt.as_ref().map_or(options.observed, |p| cast::to_f32(p.at)));
     let steps = options.moments.max(2);
-    let times: Vec<f32> = (0..steps).map(|k| at * k as f32 / (steps - 1) as f32).collect();
+    let end = at.max(options.observed);
+    let times: Vec<f32> = (0..steps).map(|k| end * k as f32 / (steps - 1) as f32).collect();
     let means = |t: &f32| Ok(method.all_splats(&Timestamp::normalised(*t), &camera)?.means);
     let frames = times.iter().map(means).collect::<Result<Vec<Vec<Vec3>>, MethodError>>()?;
     let lasting = frames.iter().all(|f| f.len() == frames[0].len()) && !frames[0].is_empty();
@@ -127,7 +128,7 @@ pub fn segment(method: &Model, options: &Options) -> Result<Labels, SegmentError
         let resting = at_rest(&frames, options.static_path * radius(&particles));
         return Ok(of_particles(particles, resting, options));
     }
-    let motions = velocities(method, at)?;
+    let motions = velocities(method, at, end)?;
     let origin = centre(&splats.means, &splats.opacities);
     let particles = Particles { at: at.into(), splats, motions, origin, lasting: false };
     let resting = at_rest(&frames, options.static_path * radius(&particles));
@@ -201,14 +202,16 @@ fn at_rest(frames: &[Vec<Vec3>], radius: f32) -> Vec<bool> {
     (0..frames[0].len()).map(near).collect()
 }
 
-/// The velocity of every splat as a motion, by central differences over a hundredth of the span.
-fn velocities(method: &Model, at: f32) -> Result<Vec<Motion<f32>>, MethodError> {
+/// The velocity of every splat as a motion, by differences over a hundredth of the span, at its borders 0 and `end` over half as
+/// much: a method need not move splats beyond them.
+fn velocities(method: &Model, at: f32, end: f32) -> Result<Vec<Motion<f32>>, MethodError> {
     const STEP: f32 = 0.005;
+    let (from, to) = ((at - STEP).max(0.0), (at + STEP).min(end));
     let camera = neutral_camera();
     let means = |t| method.all_splats(&Timestamp::normalised(t), &camera).map(|s| s.means);
-    let (before, after) = (means(at - STEP)?, means(at + STEP)?);
+    let (before, after) = (means(from)?, means(to)?);
     let motion = |(b, a): (&Vec3, &Vec3)| {
-        let v = ((*a - *b) / (2.0 * STEP)).to_array();
+        let v = ((*a - *b) / (to - from)).to_array();
         Motion { twist: Twist { v, w: [0.0; 3] }, ..Motion::default() }
     };
     Ok(before.iter().zip(&after).map(motion).collect())

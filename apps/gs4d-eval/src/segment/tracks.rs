@@ -20,7 +20,8 @@ pub(crate) const MAX_POINTS: usize = 10_000;
 const MAX_CAMERAS: usize = 4;
 const MAX_TIMES: usize = 61;
 
-/// The complexity of a model's motion as seen by the training cameras (at most 4, and at most 61 of the training times).
+/// The complexity of a model's motion as seen by the training cameras (at most 4, and at most 61 of the training times). Where
+/// times are left out, the change of velocity is that from one training time to the next: a share of what is measured.
 ///
 /// # Errors
 /// If the model cannot produce its splats.
@@ -28,13 +29,15 @@ pub fn scene_complexity(method: &Model, data: &Dataset) -> Result<Complexity, Me
     let mut times: Vec<f32> = data.train.iter().map(|v| v.time.normalised).collect();
     times.sort_unstable_by(f32::total_cmp);
     times.dedup();
-    let times: Vec<f32> = times.iter().copied().step_by(times.len().div_ceil(MAX_TIMES).max(1)).collect();
+    let stride = times.len().div_ceil(MAX_TIMES).max(1);
+    let times: Vec<f32> = times.into_iter().step_by(stride).collect();
     let mut ids: Vec<u32> = data.train.iter().map(|v| v.camera_id).collect();
     ids.sort_unstable();
     ids.dedup();
     let chosen = ids.iter().step_by(ids.len().div_ceil(MAX_CAMERAS).max(1));
     let cameras = chosen.filter_map(|id| data.train.iter().find(|v| v.camera_id == *id)).map(|v| v.camera.clone());
-    Ok(complexity(&tracks(method, &cameras.collect::<Vec<_>>(), &times, MAX_POINTS)?, STATIC_PATH))
+    let found = complexity(&tracks(method, &cameras.collect::<Vec<_>>(), &times, MAX_POINTS)?, STATIC_PATH);
+    Ok(Complexity { acceleration: found.acceleration / stride as f64, ..found })
 }
 
 /// Tracks at most `points` pixels of each camera, on a lattice, from the first time on.

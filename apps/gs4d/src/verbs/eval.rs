@@ -358,7 +358,12 @@ type Column = (&'static str, usize, Vec<Option<f64>>, Option<f64>);
 fn columns(scores: &FolderScores) -> Vec<Column> {
     let SetScores { views, mean, .. } = &scores.images;
     let mut all: Vec<Column> = vec![
-        ("psnr", 3, views.iter().map(|v| v.psnr.or(v.mse_is_zero().then_some(f64::INFINITY))).collect(), mean.psnr),
+        (
+            "psnr",
+            3,
+            views.iter().map(|v| v.psnr.or((v.mse == Some(0.0)).then_some(f64::INFINITY))).collect(),
+            mean.psnr,
+        ),
         ("ssim", 4, views.iter().map(|v| v.ssim).collect(), mean.ssim),
         ("ms-ssim", 4, views.iter().map(|v| v.ms_ssim).collect(), mean.ms_ssim),
         ("proxy", 4, views.iter().map(|v| v.perceptual_proxy).collect(), mean.perceptual_proxy),

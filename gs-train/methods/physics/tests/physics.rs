@@ -109,6 +109,8 @@ fn ball_falls(trace: &Trainer, options: &SynthOptions) {
     println!("{} through {} frames, velocity and acceleration off by {off:.3?}", ball.path, ball.frames);
     assert!(off[0] < 0.03 && off[1] < 0.08, "{off:?}: {ball:?}");
     assert!(ball.deviations[0] <= ball.deviations[1] && ball.deviations[1] < 0.1, "{ball:?}");
+    let far = trace.model().capabilities().particles.expect("a law").bodies(&[1e6, 1e12]);
+    assert_eq!(far[0].deviations[0], far[0].deviations[1], "as far as splats go");
     assert!(bodies.iter().all(|b| b.centroid == ball.centroid || speed(&b) < 0.1), "{bodies:?}");
 }
 

@@ -59,7 +59,8 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
             quantity("acceleration", "units/span²", acceleration),
         ];
         if t > self.first_ahead() {
-            let deviations = self.with_future(|future| future.deviations(t));
+            let to = self.render_span(t).to;
+            let deviations = self.with_future(|future| future.deviations(to));
             all.extend(deviations.map(|values| quantity("deviation", "units", values)));
         }
         all
@@ -135,6 +136,7 @@ impl<F: Field, D: Dynamics> ParticleSource for Advected<F, D> {
     }
 
     fn bodies(&self, times: &[f64]) -> Vec<RigidBody> {
-        self.with_future(|future| future.bodies(times))
+        let times: Vec<f64> = times.iter().map(|t| self.render_span(*t).to).collect();
+        self.with_future(|future| future.bodies(&times))
     }
 }
