@@ -14,8 +14,9 @@ from plyfile import PlyData
 from safetensors.torch import save_file
 
 folder, out = Path(sys.argv[1]), sys.argv[2]
-saved = [int(p.name.split("_")[-1]) for p in (folder / "point_cloud").glob("iteration_*")]
-iteration = int(sys.argv[3]) if len(sys.argv) > 3 else max(saved)
+names = [p.name.removeprefix("iteration_") for p in (folder / "point_cloud").glob("iteration_*")]
+# Grid4D has an `iteration_best`, too, with its number in a file.
+iteration = sys.argv[3] if len(sys.argv) > 3 else max((n for n in names if n.isdigit()), key=int)
 cloud = folder / "point_cloud" / f"iteration_{iteration}"
 deform = folder / "deform" / f"iteration_{iteration}" / "deform.pth"
 load = lambda path: torch.load(path, map_location="cpu", weights_only=True)
@@ -32,6 +33,8 @@ elif (cloud / "checkpoints.pth").exists():
 else:
     code = "Scaffold-GS"
     parts = {p.stem: torch.jit.load(p, map_location="cpu").state_dict() for p in cloud.glob("*.pt")}
+if not parts:
+    sys.exit(f"{cloud} has no networks of a known code, nor has {deform.parent}")
 
 vertex = PlyData.read(cloud / "point_cloud.ply")["vertex"]
 tensors = {f"ply.{p.name}": torch.tensor(vertex[p.name]).float() for p in vertex.properties}
@@ -39,6 +42,7 @@ for part, state in parts.items():
     tensors |= {f"{part}.{name}": value.float().contiguous() for name, value in state.items()}
 namespace = ast.parse((folder / "cfg_args").read_text().strip(), mode="eval").body
 args = {k.arg: ast.literal_eval(k.value) for k in namespace.keywords}
-about = {"code": code, "iteration": str(iteration), "args": json.dumps(args)}
+number = iteration if iteration.isdigit() else (cloud / "iter.txt").read_text().split()[-1]
+about = {"code": code, "iteration": number, "args": json.dumps(args)}
 save_file(tensors, out, metadata=about)
-print(f"{code}, iteration {iteration}: {len(tensors)} tensors -> {out}")
+print(f"{code}, iteration {number}: {len(tensors)} tensors -> {out}")

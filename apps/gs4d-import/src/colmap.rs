@@ -100,8 +100,8 @@ const LIST: &str = "import/list.txt";
 const SPARSE: &str = "import/sparse";
 const REGISTERED: &str = "import/registered";
 
-/// The last line of a mapper that found no images to begin with.
-const NO_MODEL: &str = "failed to create sparse model";
+/// What a mapper says at last that found no images to begin with: COLMAP 3, COLMAP 4.
+const NO_MODEL: [&str; 2] = ["failed to create sparse model", "Failed to create any sparse model"];
 
 /// Hears how many of how many.
 pub(crate) type Tell<'a> = &'a mut dyn FnMut(usize, Option<usize>);
@@ -232,7 +232,11 @@ impl Colmap<'_> {
         let fixed = ["--database_path", DATABASE, "--image_path", IMAGES, "--output_path", SPARSE];
         match self.step("mapper", "reconstruct the cameras", &fixed, &wanted, tell) {
             Ok(()) => self.largest(),
-            Err(ImportError::Failed { tail, .. }) if tail.iter().any(|line| line.contains(NO_MODEL)) => Ok(None),
+            Err(ImportError::Failed { tail, .. })
+                if tail.iter().any(|line| NO_MODEL.iter().any(|said| line.contains(said))) =>
+            {
+                Ok(None)
+            }
             Err(e) => Err(e),
         }
     }

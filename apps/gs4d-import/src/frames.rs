@@ -96,12 +96,22 @@ impl Extraction<'_> {
 pub(crate) fn mask_video(masks: &Path, video: &Path) -> Result<PathBuf, ImportError> {
     let stem = video.file_stem().unwrap_or_default();
     let entries = fs::read_dir(masks).map_err(ImportError::os("list the folder of masks", masks))?;
-    let same = |p: &PathBuf| p.file_stem() == Some(stem) && p.is_file();
-    entries.flatten().map(|e| e.path()).find(same).ok_or_else(|| ImportError::Input {
-        what: format!("there is no video of masks for {}", video.display()),
+    let film = video.canonicalize().ok();
+    let same = |p: &PathBuf| p.file_stem() == Some(stem) && p.is_file() && p.canonicalize().ok() != film;
+    let mut found: Vec<PathBuf> = entries.flatten().map(|e| e.path()).filter(same).collect();
+    found.sort();
+    let what = match &found[..] {
+        [one] => return Ok(one.clone()),
+        [] => format!("there is no video of masks for {}", video.display()),
+        [first, second, ..] => {
+            format!("{} and {} have the name of {}", first.display(), second.display(), video.display())
+        }
+    };
+    Err(ImportError::Input {
+        what,
         path: masks.to_path_buf(),
         why: "masks belong to videos by their names",
-        fix: format!("name it {}.mp4: white counts, black does not", stem.to_string_lossy()),
+        fix: format!("have one file {}.mp4 there: white counts, black does not", stem.to_string_lossy()),
     })
 }
 
@@ -278,6 +288,20 @@ mod tests {
         let mut names = ["b1.png", "img10.png", "img9.png", "img9a.png", "img009.png"];
         names.sort_by_key(|n| natural(n));
         assert_eq!(names, ["b1.png", "img009.png", "img9.png", "img9a.png", "img10.png"]);
+    }
+
+    #[test]
+    fn masks_are_one_other_file_of_the_name() {
+        let dir = tempfile::tempdir().unwrap();
+        let touch = |name: &str| fs::write(dir.path().join(name), "x").unwrap();
+        let film = dir.path().join("a.mp4");
+        ["a.mp4", "b.mp4"].iter().for_each(|name| touch(name));
+        assert!(mask_video(dir.path(), &film).unwrap_err().to_string().contains("no video of masks"), "not the film");
+        touch("a.mkv");
+        assert_eq!(mask_video(dir.path(), &film).unwrap(), dir.path().join("a.mkv"));
+        touch("a.json");
+        let e = mask_video(dir.path(), &film).unwrap_err().to_string();
+        assert!(e.contains("a.json") && e.contains("a.mkv"), "{e}");
     }
 
     #[test]

@@ -23,7 +23,9 @@ const VERSION: u32 = 1;
 /// Folder of the database, models and the log.
 pub(crate) const WORK: &str = "import";
 /// Files that an import, and the doctor and `init` after it, write.
-const OWN_FILES: [&str; 6] = ["transforms.json", "points.ply", "start.ply", "scene.toml", "doctor.html", NAME];
+const OWN_FILES: [&str; 6] = ["transforms.json", "points.ply", "start.ply", SCENE, "doctor.html", NAME];
+/// Where `init` writes a section, and the user what is theirs.
+const SCENE: &str = "scene.toml";
 
 /// What is imported.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -269,6 +271,15 @@ impl State {
                 own.push(self.own(data, camera, is_mask)?);
             }
         }
+        let scene = data.join(SCENE);
+        if scene.is_file() && !is_only_start(&scene) {
+            return Err(ImportError::Input {
+                what: "it holds settings of yours beside the section [start]".to_owned(),
+                path: scene,
+                why: "only what an import made is removed",
+                fix: "move it away, and copy the other sections back after the import".to_owned(),
+            });
+        }
         own.iter().try_for_each(Own::remove)?;
         // What somebody has put beside the cameras stays.
         parents.iter().for_each(|(parent, _)| drop(fs::remove_dir(data.join(parent))));
@@ -408,6 +419,12 @@ impl Own {
 }
 
 /// The error for files that an import did not make.
+/// Whether a settings file has the section `[start]` and nothing else.
+fn is_only_start(scene: &Path) -> bool {
+    let text = fs::read_to_string(scene).unwrap_or_default();
+    text.parse::<toml::Table>().is_ok_and(|table| table.keys().all(|key| key == "start"))
+}
+
 fn of_others(files: &[PathBuf], folder: &Path) -> ImportError {
     let what = match files.len() {
         0 | 1 => "it lies where frames do, and the import did not make it".to_owned(),

@@ -50,7 +50,7 @@ pub struct ImportVerb {
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(16..=32_768), conflicts_with = "images")]
     size: Option<u32>,
     /// Seconds by which each video shows later what the first one shows, in their order: 0,0.25,-0.1 [default: found where it is clear].
-    #[arg(long, value_name = "S,S", value_delimiter = ',', allow_hyphen_values = true, conflicts_with_all = ["images", "no_sync"])]
+    #[arg(long, value_name = "S,S", value_delimiter = ',', value_parser = seconds, allow_hyphen_values = true, conflicts_with_all = ["images", "no_sync"])]
     offsets: Option<Vec<f64>>,
     /// The videos began at one moment: look for no offsets of clocks.
     #[arg(long, conflicts_with = "images")]
@@ -110,6 +110,11 @@ enum LensChoice {
     OpencvFisheye,
 }
 
+fn seconds(text: &str) -> Result<f64, String> {
+    let value = text.trim().parse::<f64>().ok().filter(|v| v.is_finite());
+    value.ok_or_else(|| "give seconds, for example 0.25".to_owned())
+}
+
 fn positive(text: &str) -> Result<f64, String> {
     parse::not_negative(text).and_then(|v| if v > 0.0 { Ok(v) } else { Err("give a number above 0".to_owned()) })
 }
@@ -140,6 +145,7 @@ impl ImportVerb {
                 }
             }
         };
+        let had_points = !self.force && self.out.is_dir() && gs_data::has_start_points(&self.out).unwrap_or(false);
         let done = import(&self.out, &source, &self.settings(), self.force, threads, &stop, &mut tell);
         line.into_iter().for_each(|l| l.1.finish());
         let done = done.map_err(|e| Failure::import(e, &self.out))?;
@@ -147,8 +153,14 @@ impl ImportVerb {
         // Problems are printed at the end: points are made all the same.
         let page = self.out.join("doctor.html");
         let checked = Doctor::of(self.out.clone(), page).look(global)?;
-        let points = Init::of(self.out.clone()).run(global)?;
-        let next = format!("gs4d train {} -m fourdgs -o run", shell_quoted(self.out.display().to_string()));
+        // Points that a finished import has already may be the user's own choice.
+        let points = if had_points {
+            Answer::new(String::new(), json!(null))
+        } else {
+            Init::of(self.out.clone()).run(global)?
+        };
+        let method = if self.unordered { "static3d" } else { "fourdgs" };
+        let next = format!("gs4d train {} -m {method} -o run", shell_quoted(self.out.display().to_string()));
         let text = format!("{}{}{}now: {next}\n", summary(&done, &self.out), checked.0.text, points.text);
         let json = json!({"import": done, "doctor": checked.0.json, "init": points.json, "next": next});
         let answer = Answer::new(text, json);

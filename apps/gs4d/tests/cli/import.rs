@@ -29,7 +29,7 @@ mapper|image_registrator) to=import/registered
   if [ $1 = mapper ]; then
     echo "  => No good initial image pair found."
     [ -e "$HERE/crash" ] && kill -SEGV $$
-    [ -e "$HERE/alone" ] && { echo "ERROR: failed to create sparse model" >&2; exit 1; }
+    [ -e "$HERE/alone" ] && { cat "$HERE/alone" >&2; exit 1; }
     to=import/sparse/0; mkdir $to
   fi; cd $to
   echo "1 SIMPLE_RADIAL 64 48 60 32 24 0.01" > cameras.txt
@@ -169,9 +169,13 @@ fn a_program_that_crashes_is_named_and_is_no_lack_of_overlap() {
     desk.import(&[]).fails(6, &words);
     assert_eq!((desk.calls("exhaustive_matcher"), desk.calls("mapper")), (1, 1), "no second attempt");
     fs::remove_file(desk.at("crash")).unwrap();
-    fs::write(desk.at("alone"), "").unwrap();
+    fs::write(desk.at("alone"), "ERROR: failed to create sparse model\n").unwrap();
     desk.import(&[]).fails(3, &["no two images that fit together", "30 degrees"]);
     assert_eq!((desk.calls("exhaustive_matcher"), desk.calls("mapper")), (2, 3), "two attempts");
+    let desk = Desk::new().all();
+    fs::write(desk.at("alone"), "E1129 sfm.cc:288] Failed to create any sparse model\n").unwrap();
+    desk.import(&[]).fails(3, &["no two images that fit together", "30 degrees"]);
+    assert_eq!(desk.calls("mapper"), 2, "two attempts with COLMAP 4");
 }
 
 #[cfg(unix)]
@@ -231,6 +235,10 @@ fn files_of_others_stay_and_frames_that_are_missing_are_named() {
     desk.import(&["-f", "--masks", "data/images"]).fails(3, &["inside the data set"]);
     assert!(mine.exists() && desk.at("data/images/cam00/00000.jpg").exists());
     fs::remove_file(&mine).unwrap();
+    let scene = desk.at("data/scene.toml");
+    fs::write(&scene, "[time]\nfps = 5\n").unwrap();
+    desk.import(&["-f"]).fails(3, &["scene.toml", "settings of yours", "move it away"]);
+    fs::write(&scene, "[start]\npoints = \"start.ply\"\n").unwrap();
     // Masks that somebody painted are nothing to an import without masks.
     fs::create_dir_all(mask.parent().unwrap()).unwrap();
     fs::write(&mask, "painted").unwrap();
