@@ -9,6 +9,8 @@ use rayon::prelude::*;
 
 /// Views with most matches that are asked about a pose.
 const PARTNERS: usize = 6;
+/// Distance below which two cameras are at one place, world units.
+const SAME_PLACE: f64 = 1e-6;
 /// Fewest matches with neighbours for a first look, and the largest share of them that agrees with a suspect's pose.
 const MIN_MATCHES: usize = 20;
 const SUSPECT_SHARE: f64 = 0.2;
@@ -80,9 +82,12 @@ impl<'m, 'v> CornerFit<'m, 'v> {
         of.iter().map(|(j, points)| Seen { camera: &self.matches.cameras[*j], points }).collect()
     }
 
-    /// The views with most matches, wherever the poses put them.
+    /// The views from other places with most matches, wherever the poses put them: of the same place, as of a camera at rest,
+    /// all matches agree with any pose there.
     fn partners(&self, i: usize) -> Vec<(usize, Vec<[DVec2; 2]>)> {
+        let place = |k: usize| self.matches.cameras[k].position();
         let mut all = self.matches.with_all(i);
+        all.retain(|p| place(p.0).distance(place(i)) > SAME_PLACE);
         all.sort_by_key(|p| std::cmp::Reverse(p.1.len()));
         all.truncate(PARTNERS);
         all

@@ -18,6 +18,7 @@ use gs_train::densify::GrowthLimits;
 use gs_train::registry::Registry;
 use gs_train::schedule::Schedule;
 use gs_train::trainer::{TrainOptions, Trainer};
+use gs4d_run::RunError;
 use gs4d_run::memory;
 use gs4d_run::settings::{Request, Resolved, resolve};
 use gs4d_run::summary::images_held;
@@ -32,6 +33,8 @@ const TIMED: u32 = 10;
 const MAX_POINT_FACTOR: usize = 8;
 /// Standard deviation of the points added for it around the original ones, as a share of the scene's diagonal.
 const JITTER: f32 = 0.005;
+/// The settings of the most splats, or anchors, of a method.
+const MOST_SETTINGS: [&str; 2] = ["schedule.density.max_splats", "adapt.max_anchors"];
 /// The constants of the memory estimate.
 const BYTES_PER_VALUE: f64 = 16.0;
 const BYTES_PER_SPLAT: f64 = 3000.0;
@@ -82,12 +85,19 @@ pub struct Cost {
     pub seconds: [f64; 2],
     /// Peak MiB with the initial splats, and with the most.
     pub memory_mib: [f64; 2],
-    /// MiB of all decoded images, whether the cache keeps them or not.
+    /// MiB of decoded images that the cache keeps.
     pub images_mib: f64,
+    /// The setting of the most splats, if the method has one.
+    #[serde(skip)]
+    most_setting: Option<&'static str>,
 }
 
-/// Estimates the cost; a run that cannot start is a problem.
+/// Estimates the cost; a run that cannot start is a problem, or a warning where only the method is the wrong one for data in which
+/// nothing moves.
 pub(super) fn check(data: &Dataset, options: &CostOptions) -> (Vec<Finding>, Option<Cost>) {
+    if let Some(warning) = still(data, options) {
+        return (vec![warning], None);
+    }
     match measure(data, options) {
         Ok(cost) => (findings(&cost, options), Some(cost)),
         Err(why) => {
@@ -97,16 +107,44 @@ pub(super) fn check(data: &Dataset, options: &CostOptions) -> (Vec<Finding>, Opt
     }
 }
 
+fn still(data: &Dataset, options: &CostOptions) -> Option<Finding> {
+    match resolved(data, options).ok()?.fits(data) {
+        Err(e @ RunError::Static { .. }) => {
+            let fix = "give -m static3d, or, if names tell times, --set data.time_from=name";
+            Some(Finding::new("duration", "cost.begin", Verdict::Warning, e.to_string()).fix(fix))
+        }
+        _ => None,
+    }
+}
+
+fn resolved(data: &Dataset, options: &CostOptions) -> Result<Resolved, RunError> {
+    let request = Request {
+        method: options.method.clone(),
+        preset: options.preset.clone(),
+        data: Some(data.root.clone()),
+        sets: options.sets.clone(),
+        ..Request::default()
+    };
+    resolve(&options.registry, &request)?.with_start_points(data)
+}
+
+/// Whether a table has a value under a key with dots.
+fn has_setting(table: &toml::Table, key: &str) -> bool {
+    let mut parts = key.split('.');
+    let first = parts.next().and_then(|part| table.get(part));
+    parts.fold(first, |value, part| value?.get(part)).is_some()
+}
+
 fn findings(cost: &Cost, options: &CostOptions) -> Vec<Finding> {
     let [few, most] = cost.splats;
     let [least, whole] = cost.memory_mib;
     let text = format!("about {whole:.0} MiB with {most} splats ({:.0} MiB of images)", cost.images_mib);
-    let memory = match options.limit_mib.or_else(|| memory::machine().map(|bytes| bytes as f64 / MIB)) {
+    let memory = match options.limit_mib.or_else(|| memory::free().map(|bytes| bytes as f64 / MIB)) {
         Some(limit) if whole > limit => {
             let verdict = if least > limit { Verdict::Problem } else { Verdict::Warning };
             let what = format!("{text}, {least:.0} with {few}; there are {limit:.0} MiB");
-            let fix =
-                "--set data.scale=0.5, or --image-cache 256, or fewer splats: --set schedule.density.max_splats=N";
+            let fewer = cost.most_setting.map_or(String::new(), |key| format!(", or fewer splats: --set {key}=N"));
+            let fix = format!("--set data.scale=0.5, or --image-cache 256{fewer}");
             Finding::new("memory", "memory.limit", verdict, what).fix(fix)
         }
         Some(limit) => Finding::ok("memory", format!("{text} of {limit:.0}")),
@@ -131,15 +169,8 @@ fn duration(seconds: f64) -> String {
 }
 
 fn measure(data: &Dataset, options: &CostOptions) -> Result<Cost, String> {
-    let request = Request {
-        method: options.method.clone(),
-        preset: options.preset.clone(),
-        data: Some(data.root.clone()),
-        sets: options.sets.clone(),
-        ..Request::default()
-    };
-    let resolved = resolve(&options.registry, &request).and_then(|r| r.with_start_points(data));
-    let resolved = resolved.map_err(|e| e.to_string())?;
+    let resolved = resolved(data, options).map_err(|e| e.to_string())?;
+    resolved.fits(data).map_err(|e| e.to_string())?;
     let trial = Trial { data: Arc::new(data.clone()), resolved: &resolved };
     let whole = trial.trainer(trial.data.clone(), &resolved.method)?;
     let (schedule, growth) = (whole.model().schedule().clone(), whole.model().capabilities().growth);
@@ -177,6 +208,7 @@ fn measure(data: &Dataset, options: &CostOptions) -> Result<Cost, String> {
         stages,
         memory_mib: [memory(few.values as f64, few.splats), memory(values, most)],
         images_mib: kept / MIB,
+        most_setting: MOST_SETTINGS.into_iter().find(|key| has_setting(&resolved.method, key)),
     })
 }
 

@@ -293,10 +293,14 @@ impl ImageChecks {
     }
 
     fn blurred(&self, data: &Dataset) -> Option<Finding> {
-        let usual = median(&self.good(data).map(|(_, _, t)| t.detail).collect::<Vec<_>>());
+        // Detail of a pixel is less in larger images of the same.
+        let size = |v: &View| [v.camera.width, v.camera.height];
+        let mut by_size: BTreeMap<[u32; 2], Vec<f64>> = BTreeMap::new();
+        self.good(data).for_each(|(v, _, t)| by_size.entry(size(v)).or_default().push(t.detail));
+        let usual: BTreeMap<[u32; 2], f64> = by_size.iter().map(|(size, all)| (*size, median(all))).collect();
         let names: Vec<&str> = self
             .good(data)
-            .filter(|(_, _, t)| t.spread >= MIN_SPREAD && t.detail < MIN_SHARPNESS * usual)
+            .filter(|(v, _, t)| t.spread >= MIN_SPREAD && t.detail < MIN_SHARPNESS * usual[&size(v)])
             .map(|(v, _, _)| v.name.as_str())
             .collect();
         (!names.is_empty()).then(|| {

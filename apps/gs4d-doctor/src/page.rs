@@ -23,8 +23,12 @@ pub fn is_page(path: &Path) -> bool {
 /// If a figure cannot be encoded as PNG or JPEG.
 pub fn page(c: &Checkup) -> Result<String, ReportError> {
     let mut sections = section("Findings", "", &findings(&c.findings));
-    let mut topics: Vec<&str> = c.figures.iter().map(|p| p.topic).collect();
-    topics.dedup();
+    let mut topics: Vec<&str> = Vec::new();
+    c.figures.iter().for_each(|p| {
+        if !topics.contains(&p.topic) {
+            topics.push(p.topic)
+        }
+    });
     for topic in topics {
         let mut shown = String::new();
         for p in c.figures.iter().filter(|p| p.topic == topic) {

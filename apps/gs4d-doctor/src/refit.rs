@@ -78,9 +78,13 @@ fn step(camera: &Camera, seen: &[Seen<'_>], scale: f64, reach: f64) -> Option<[f
         let here = Pair::new(camera, s.camera);
         let there: [Pair; 6] = std::array::from_fn(|k| Pair::new(&nudged[k], s.camera));
         for p in s.points {
-            let r = here.signed(*p);
+            let (r, nearby) = (here.signed(*p), there.each_ref().map(|pair| pair.signed(*p)));
+            // From one place nothing tells how far off a match is.
+            if !r.is_finite() || nearby.iter().any(|n| !n.is_finite()) {
+                continue;
+            }
             let weight = (scale * scale / (scale * scale + r * r)).powi(2);
-            let slope: [f64; 6] = std::array::from_fn(|k| (there[k].signed(*p) - r) / EPSILON);
+            let slope: [f64; 6] = std::array::from_fn(|k| (nearby[k] - r) / EPSILON);
             for i in 0..6 {
                 right[i] -= weight * slope[i] * r;
                 (0..6).for_each(|j| normal[i][j] += weight * slope[i] * slope[j]);

@@ -2,7 +2,7 @@
 //! hull is empty or in the wrong place.
 
 use super::pose_readings::PoseReading;
-use super::{Finding, Verdict};
+use super::{Finding, Verdict, median};
 use glam::{DMat3, DQuat, DVec3};
 use gs_core::Camera;
 use gs_data::hull::{Carved, Silhouette, carve};
@@ -15,6 +15,8 @@ const AGREEMENT: f64 = 0.8;
 /// Mean covered share of silhouettes: above the first poses are good, below the second they are wrong.
 const GOOD_SHARE: f64 = 0.8;
 const BAD_SHARE: f64 = 0.5;
+/// Median share of an image that outlines of an object fill at most.
+const MOST_FILLED: f64 = 0.8;
 /// Another reading of the poses must cover so much more.
 const MIN_READING_GAIN: f64 = 0.25;
 /// The visual hull and its fit to each silhouette.
@@ -34,6 +36,14 @@ pub(super) struct Silhouettes {
 /// Carves the training views; none where they have neither alpha nor masks.
 pub(super) fn check(data: &Dataset) -> Option<Silhouettes> {
     let carved = carve(data, AGREEMENT).ok().flatten()?;
+    // Masks of what must not count, or alpha that is 1, are no outlines of an object.
+    let filled = |s: &Silhouette| {
+        let inside = s.inside();
+        inside.iter().filter(|i| **i).count() as f64 / inside.len().max(1) as f64
+    };
+    if median(&carved.silhouettes.par_iter().map(filled).collect::<Vec<_>>()) > MOST_FILLED {
+        return None;
+    }
     let mut shapes: Vec<(Split, Silhouette)> = carved.silhouettes.iter().map(|s| (Split::Train, s.clone())).collect();
     for split in [Split::Val, Split::Test] {
         let views = data.views(split);
@@ -85,7 +95,7 @@ impl Silhouettes {
         let verdict = if share < BAD_SHARE { Verdict::Problem } else { Verdict::Warning };
         let what = format!("{text}: poses, focal length, box or alpha do not belong together");
         let fix = "compare the figures of the hull with the images; check alpha and the units of the poses, or set \
-                   the box: gs4d init DATA --bound SIDE";
+                   the box: gs4d init DATA --bound HALF (half of its side)";
         vec![Finding::new("poses", "poses.silhouettes", verdict, what).fix(fix)]
     }
 

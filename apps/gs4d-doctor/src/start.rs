@@ -9,6 +9,9 @@ const GOOD_SHARE: f64 = 0.9;
 const BAD_SHARE: f64 = 0.5;
 /// Largest share of points outside the box that is not reported.
 const MAX_OUTSIDE: f64 = 0.02;
+/// Share of the box in the frame of two training views below which it lies elsewhere, and the cells of a side that tell it.
+const LEAST_SEEN: f64 = 0.02;
+const CELLS: usize = 5;
 /// Fewest points to start training from.
 const MIN_POINTS: usize = 50;
 
@@ -20,7 +23,7 @@ pub(super) fn check(data: &Dataset) -> Vec<Finding> {
 }
 
 fn points(data: &Dataset) -> Finding {
-    let init = format!("gs4d init {}", data.root.display());
+    let init = init(data);
     let Some(points) = data.points.as_ref().filter(|p| !p.positions.is_empty()) else {
         let sources = StartFrom::ALL.iter().filter(|f| **f != StartFrom::Random);
         let found = sources.clone().find(|f| data.start(Some(**f), 200, 0).is_ok());
@@ -33,8 +36,9 @@ fn points(data: &Dataset) -> Finding {
             }
             None => {
                 let what = "no points, no depth, no silhouettes: training begins with random points in the box";
-                Finding::new("init", "init.random", Verdict::Warning, what)
-                    .fix(format!("reconstruct points with COLMAP, or {init} --from random --bound SIDE"))
+                Finding::new("init", "init.random", Verdict::Warning, what).fix(format!(
+                    "reconstruct points with COLMAP, or {init} --from random --bound HALF (half of its side)"
+                ))
             }
         };
     };
@@ -46,7 +50,8 @@ fn points(data: &Dataset) -> Finding {
         return Finding::new("init", "init.frame", Verdict::Problem, what).fix(fix);
     }
     if count < MIN_POINTS {
-        return Finding::new("init", "init.few", Verdict::Warning, text).fix(format!("{init} --points 20000"));
+        return Finding::new("init", "init.few", Verdict::Warning, text)
+            .fix(format!("{init} --from random, or --from hull where there are silhouettes"));
     }
     if seen < GOOD_SHARE {
         let what = format!("{text}; the others begin unseen");
@@ -62,19 +67,18 @@ fn bound(data: &Dataset) -> Finding {
     let text = format!("{low:.2} to {high:.2}");
     let points = data.points.as_ref().map_or(&[][..], |p| &p.positions);
     let out = points.iter().filter(|p| !inside(p)).count() as f64 / points.len().max(1) as f64;
-    let largest = points.iter().map(|p| p.abs().max_element()).fold(0.0, f32::max);
-    if out > MAX_OUTSIDE {
+    // A box that is not given leaves out the farthest points, as it should.
+    if data.bounds.is_some() && out > MAX_OUTSIDE {
         let what = format!("{:.0} % of the points lie outside the box {text}", 100.0 * out);
-        let fix = format!(
-            "gs4d init {} --bound {:.2} (the farthest point is {largest:.2} from the origin)",
-            data.root.display(),
-            1.05 * largest
-        );
+        let mut far: Vec<f32> = points.iter().map(|p| p.abs().max_element()).collect();
+        far.sort_by(f32::total_cmp);
+        let most = far[(far.len() * 99) / 100];
+        let fix = format!("{} --bound {:.2} (99 % of the points lie in it)", init(data), 1.05 * most);
         return Finding::new("bound", "bound.points", Verdict::Warning, what).fix(fix);
     }
-    if !seen(data, 0.5 * (low + high)) {
-        let what = format!("no training view looks at the middle of the box {text}");
-        let fix = format!("gs4d init {} --bound SIDE, or recentre the poses", data.root.display());
+    if seen(data, [low, high]) < LEAST_SEEN {
+        let what = format!("hardly any of the box {text} is in the frame of two training views");
+        let fix = format!("{} --bound HALF (half of its side), or recentre the poses", init(data));
         return Finding::new("bound", "bound.unseen", Verdict::Problem, what).fix(fix);
     }
     if size.max_element() > 100.0 * size.min_element() {
@@ -83,7 +87,16 @@ fn bound(data: &Dataset) -> Finding {
     Finding::ok("bound", text)
 }
 
-/// Whether training views have a point in their frame.
-fn seen(data: &Dataset, p: Vec3) -> bool {
-    data.seen_share(&[p]) > 0.0
+/// Share of a box that two training views have in their frames, by the middles of its cells.
+fn seen(data: &Dataset, [low, high]: [Vec3; 2]) -> f64 {
+    let at = |k: usize| (k as f32 + 0.5) / CELLS as f32;
+    let cell = |k: usize| low + (high - low) * Vec3::new(at(k % CELLS), at(k / CELLS % CELLS), at(k / CELLS / CELLS));
+    data.seen_share(&(0..CELLS * CELLS * CELLS).map(cell).collect::<Vec<_>>())
+}
+
+/// The command that gives other points or another box; over points that are there already.
+fn init(data: &Dataset) -> String {
+    let force =
+        if gs_data::has_start_points(&data.root).unwrap_or(false) || data.bounds.is_some() { " -f" } else { "" };
+    format!("gs4d init {}{force}", data.root.display())
 }
