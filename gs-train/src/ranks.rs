@@ -63,12 +63,13 @@ pub fn alone() -> Arc<dyn Ranks> {
     Arc::new(Alone)
 }
 
-/// A fact of every rank, in the order of ranks, on every rank.
+/// A fact of every rank, in the order of ranks, on every rank; numbers that are not finite, too (CBOR, where JSON has none).
 ///
 /// # Errors
 /// If a rank cannot be reached, or sends something else.
 pub fn all_gather<T: Serialize + DeserializeOwned>(ranks: &dyn Ranks, fact: &T) -> Result<Vec<T>, RanksError> {
-    let bytes = serde_json::to_vec(fact).map_err(|e| RanksError { what: e.to_string() })?;
+    let mut bytes = Vec::new();
+    ciborium::into_writer(fact, &mut bytes).map_err(|e| RanksError { what: e.to_string() })?;
     let received = ranks.all_gather(bytes)?.into_iter().enumerate();
-    received.map(|(rank, bytes)| serde_json::from_slice(&bytes).map_err(|_| RanksError::short(rank))).collect()
+    received.map(|(rank, bytes)| ciborium::from_reader(&bytes[..]).map_err(|_| RanksError::short(rank))).collect()
 }

@@ -40,7 +40,7 @@ use on_device::Resident;
 use prefetch::Prefetch;
 pub use render_pass::Phases;
 use render_pass::{RenderPass, Stopwatch};
-use team::{Command, Team};
+use team::{Command, Team, all_gather_results};
 use view_order::ViewOrder;
 
 /// What a run needs beside data and configuration.
@@ -299,10 +299,14 @@ impl Trainer {
             self.share_rows()?;
         }
         ms.exchange += clock.lap();
-        let events = self.model.end_step()?;
+        let events = self.model.end_step().map_err(TrainError::from);
+        let events = match self.ranks.size() {
+            1 => events?,
+            _ => all_gather_results(&*self.ranks, events.map(|events| ((), events)))?.1,
+        };
         ms.adapt = clock.lap();
         self.step = step;
-        self.compare_ranks()?;
+        self.compare_ranks_at_times()?;
         ms.total = whole.lap();
         self.seconds += ms.total * 1e-3;
         Ok(StepReport {

@@ -155,9 +155,13 @@ fn renders_scores_and_files_of_three_ranks_are_those_of_one() {
     };
     assert!(compact(1) == compact(3), "export of a run whole");
     let eval = words("eval RUN --json");
-    let answer = |ranks: usize| run_on(ranks, &eval).stdout;
-    let one = (answer(1), std::fs::read(run.join("metrics.json")).unwrap());
-    assert!(one == (answer(3), std::fs::read(run.join("metrics.json")).unwrap()), "eval");
+    let answer = |ranks: usize| {
+        std::fs::remove_file(run.join("metrics.json")).unwrap();
+        let output = run_on(ranks, &eval);
+        assert!(output.status.success() && !output.stdout.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
+        (output.stdout, std::fs::read(run.join("metrics.json")).unwrap())
+    };
+    assert!(answer(1) == answer(3), "eval");
 }
 
 /// The step of the newest checkpoint of a folder.

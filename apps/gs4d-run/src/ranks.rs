@@ -1,6 +1,8 @@
 //! Ranks that train one run together: the first has the run folder and decides, the others follow.
 
+use crate::provenance::origin;
 use crate::{Resolved, RunError};
+use gs_data::Dataset;
 use gs_train::ranks::{Ranks, all_gather};
 use gs_train::registry::Registry;
 use gs_train::trainer::{TrainError, Trainer};
@@ -10,8 +12,8 @@ use std::sync::Arc;
 /// What the first rank asks of the others.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 enum Work {
-    /// Train the run of these settings, a TOML text, with it.
-    Train(String),
+    /// Train the run of these settings, a TOML text, on data of these hashes ([`origin`]) with it.
+    Train(String, [String; 2]),
     /// Do a share of what the command line asks for, which is the same on all.
     Share,
     /// End with this exit code.
@@ -19,9 +21,9 @@ enum Work {
 }
 
 /// Asks the other ranks to train the run of these settings together with the first.
-pub(crate) fn call(ranks: &dyn Ranks, resolved: &Resolved) -> Result<(), RunError> {
+pub(crate) fn call(ranks: &dyn Ranks, resolved: &Resolved, dataset: &Dataset) -> Result<(), RunError> {
     let settings = resolved.to_toml()?;
-    all_gather(ranks, &Some(Work::Train(settings))).map_err(TrainError::from)?;
+    all_gather(ranks, &Some(Work::Train(settings, origin(dataset)))).map_err(TrainError::from)?;
     Ok(())
 }
 
@@ -44,7 +46,7 @@ pub fn follow(registry: &Registry, ranks: &Arc<dyn Ranks>, share: impl FnOnce())
     loop {
         let received = all_gather::<Option<Work>>(&**ranks, &None).map_err(TrainError::from)?;
         match received.into_iter().next().flatten() {
-            Some(Work::Train(settings)) => train(registry, &settings, ranks)?,
+            Some(Work::Train(settings, data)) => train(registry, (&settings, &data), ranks)?,
             Some(Work::Share) => {
                 if let Some(share) = share.take() {
                     share();
@@ -64,13 +66,22 @@ pub fn dismiss(ranks: &dyn Ranks, code: u8) {
     }
 }
 
-fn train(registry: &Registry, settings: &str, ranks: &Arc<dyn Ranks>) -> Result<(), RunError> {
+fn train(
+    registry: &Registry,
+    (settings, of_first): (&str, &[String; 2]),
+    ranks: &Arc<dyn Ranks>,
+) -> Result<(), RunError> {
     let resolved = Resolved::read(registry, settings, "settings of the first rank");
     let image_bytes = resolved.as_ref().map_or(0, |r| r.run.image_bytes());
-    let data = resolved.and_then(|r| r.reopen_data()).map(Arc::new).map_err(|e| match e {
+    let data = resolved.and_then(|r| r.reopen_data()).map_err(|e| match e {
         RunError::Data(e) => TrainError::Data(e),
         RunError::Train(e) => e,
         other => TrainError::State(other.to_string()),
+    });
+    let data = data.and_then(|data| {
+        let same = origin(&data) == *of_first;
+        same.then(|| Arc::new(data))
+            .ok_or_else(|| TrainError::State("the data here are not those of the first rank".into()))
     });
     match Trainer::join(registry, data, image_bytes, ranks.clone()).and_then(|mut trainer| trainer.follow()) {
         Err(e @ TrainError::Ranks(_)) => Err(e.into()),

@@ -230,7 +230,7 @@ impl Training {
         if ranks.size() == 1 {
             return Ok(self);
         }
-        ranks::call(&*ranks, &self.resolved)?;
+        ranks::call(&*ranks, &self.resolved, self.trainer.dataset())?;
         Ok(Self { trainer: self.trainer.lead(ranks)?, ..self })
     }
 

@@ -243,7 +243,8 @@ fn follow(ranks: &Arc<dyn Ranks>) -> u8 {
     let followed = ready.and_then(|()| Ok(gs4d_run::ranks::follow(gs_methods::registry(), ranks, shared)?));
     followed.unwrap_or_else(|failure| {
         to_stderr(&failure);
-        failure.class as u8
+        // Others may wait for this rank: one that goes without ending MPI ends the job.
+        std::process::exit(failure.class as i32)
     })
 }
 

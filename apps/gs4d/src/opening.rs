@@ -1,6 +1,6 @@
 //! Opening runs, with what everybody should hear of it.
 
-use crate::failure::Failure;
+use crate::failure::{Class, Failure};
 use crate::global::Global;
 use gs_data::DataOptions;
 use gs4d_run::OpenRun;
@@ -45,6 +45,13 @@ impl RunData {
     pub fn open(&self, path: &Path, global: &Global) -> Result<OpenRun, Failure> {
         let mut run = OpenRun::open_with(gs_methods::registry(), path, self.data.as_deref())?;
         run.share = global.share.clone();
+        // A run that is training may have saved meanwhile.
+        let steps = run.share.each(run.share.size(), |_| Ok::<_, Failure>(run.loaded.step))?;
+        if steps.iter().any(|step| *step != steps[0]) {
+            let what =
+                format!("{}: ranks opened different checkpoints, of steps {steps:?}; start it again", path.display());
+            return Err(Failure::new(Class::Data, "ranks.checkpoint", what));
+        }
         say_skipped(path, &run.skipped, global);
         Ok(run)
     }

@@ -156,7 +156,7 @@ impl Trainer {
             let command = all_gather::<Option<Command>>(&*self.ranks, &None)?.into_iter().next().flatten();
             let done = match command {
                 Some(Command::Step) => self.step_with_ranks().map(drop),
-                Some(Command::Gather) => self.share_rows(),
+                Some(Command::Gather) => self.gather_rows(),
                 Some(Command::Evaluate) => {
                     match self.evaluate_with_ranks(&image_cache(&self.dataset, &self.options, 1.0)) {
                         Err(EvalError::Rank(ShareError::Ranks(e))) => Err(e.into()),
@@ -174,11 +174,17 @@ impl Trainer {
     /// Makes this rank hold the whole state, of which others or a device hold a part: to be called before [`Self::state`].
     ///
     /// # Errors
-    /// If ranks cannot talk to each other, or the device fails.
+    /// If ranks cannot talk to each other or have different parameters, or the device fails.
     pub fn gather(&mut self) -> Result<(), TrainError> {
         self.fetch()?;
         self.ask(Command::Gather)?;
-        self.share_rows()
+        self.gather_rows()
+    }
+
+    /// What is saved is the same on all ranks.
+    fn gather_rows(&mut self) -> Result<(), TrainError> {
+        self.share_rows()?;
+        self.compare_ranks()
     }
 
     /// Scores the test views, or the training views where there are none, and beside them the views beyond the last training time
@@ -211,9 +217,14 @@ impl Trainer {
         Ok(())
     }
 
-    /// Every [`COMPARED_EVERY`] steps: whether all ranks hold the same parameters.
-    pub(super) fn compare_ranks(&self) -> Result<(), TrainError> {
-        if self.ranks.size() == 1 || !self.step.is_multiple_of(COMPARED_EVERY) {
+    /// Compares the parameters of all ranks every [`COMPARED_EVERY`] steps.
+    pub(super) fn compare_ranks_at_times(&self) -> Result<(), TrainError> {
+        if self.step.is_multiple_of(COMPARED_EVERY) { self.compare_ranks() } else { Ok(()) }
+    }
+
+    /// Whether all ranks hold the same parameters.
+    fn compare_ranks(&self) -> Result<(), TrainError> {
+        if self.ranks.size() == 1 {
             return Ok(());
         }
         let mut sum = crc32fast::Hasher::new();

@@ -5,14 +5,19 @@ use gs_core::io::images::save_png;
 use gs_core::{Camera, Image, Param, Params, Splats};
 use gs_data::{Dataset, ImageSource};
 use gs_synth::SynthOptions;
+use gs_train::checkpoint::Checkpoint;
+use gs_train::error::RanksError;
 use gs_train::method::{Buffers, LossValue, Method, MethodError, RenderView, ViewCtx};
 use gs_train::model::Model;
+use gs_train::ranks::Ranks;
 use gs_train::registry::section;
 use gs_train::scene::SceneInfo;
 use gs_train::step::StepCtx;
+use gs_train::testkit::threads_as_ranks;
 use gs_train::timestamp::Timestamp;
 use gs_train::trainer::{TrainError, TrainOptions, Trainer};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Two blocks whose gradients are the same in every step.
 struct Fake {
@@ -199,4 +204,53 @@ fn unknown_methods_and_settings_are_refused() {
     let mut without = config.clone();
     without.remove("init");
     assert!(error("fourdgs", &without).to_string().contains("section `init` is missing"));
+}
+
+/// A rank that gets the state of the first with one mean moved: its first message.
+struct Astray {
+    ranks: Arc<dyn Ranks>,
+    messages: AtomicUsize,
+}
+
+impl Ranks for Astray {
+    fn rank(&self) -> usize {
+        self.ranks.rank()
+    }
+
+    fn size(&self) -> usize {
+        self.ranks.size()
+    }
+
+    fn all_to_all(&self, to: Vec<Vec<u8>>) -> Result<Vec<Vec<u8>>, RanksError> {
+        let mut received = self.ranks.all_to_all(to)?;
+        if self.messages.fetch_add(1, Ordering::SeqCst) == 0 {
+            let dir = tempfile::tempdir().expect("folder");
+            let file = dir.path().join("state.gsck");
+            std::fs::write(&file, &received[0]).expect("state");
+            let mut state = Checkpoint::load(&file).expect("state");
+            let means = state.tensors.iter_mut().find(|(name, _)| name.ends_with("means")).expect("means");
+            means.1[0] += 0.5;
+            state.save(&file).expect("state");
+            received[0] = std::fs::read(&file).expect("state");
+        }
+        Ok(received)
+    }
+}
+
+#[test]
+fn ranks_that_differ_are_told_before_anything_is_saved() {
+    let (data, registry) = (data(16, 4), gs_methods::registry());
+    let lead = Trainer::new(registry, data.clone(), "static3d", &tiny("static3d"), TrainOptions::default());
+    let mut ranks = threads_as_ranks(2);
+    let (second, first) = (ranks.pop().expect("second"), ranks.pop().expect("first"));
+    let astray = Arc::new(Astray { ranks: second, messages: AtomicUsize::new(0) });
+    std::thread::scope(|scope| {
+        let follow = || Trainer::join(registry, Ok(data.clone()), 64 << 20, astray).and_then(|mut t| t.follow());
+        let followed = scope.spawn(follow);
+        let mut lead = lead.expect("trainer").lead(first).expect("first rank");
+        let error = lead.gather().expect_err("another mean");
+        assert!(matches!(&error, TrainError::Diverged { step: 0, ranks } if ranks[..] == [1]), "{error}");
+        drop(lead);
+        followed.join().expect("thread").expect("the first rank reports it");
+    });
 }
