@@ -233,7 +233,9 @@ impl Job<'_> {
                 let placed = model.read.images.len();
                 let enough = if again || keys.len() > MOST_ALL_PAIRS { LEAST } else { ENOUGH };
                 // Films that follow each other in order of names only may make models of their own.
-                let whole = again || (0..self.sources.len()).all(|camera| lens_of(&model, camera).is_some());
+                let whole = again
+                    || keys.len() > 2 * MOST_ALL_PAIRS
+                    || (0..self.sources.len()).all(|camera| lens_of(&model, camera).is_some());
                 if whole && placed as f64 >= enough * keys.len() as f64 {
                     self.keep(&model)?;
                     return Ok(model);

@@ -274,7 +274,7 @@ impl State {
         let scene = data.join(SCENE);
         if scene.is_file() && !is_only_start(&scene) {
             return Err(ImportError::Input {
-                what: "it holds settings of yours beside the section [start]".to_owned(),
+                what: "it holds settings of yours, or of `gs4d doctor --fix`, beside the section [start]".to_owned(),
                 path: scene,
                 why: "only what an import made is removed",
                 fix: "move it away, and copy the other sections back after the import".to_owned(),
@@ -418,13 +418,13 @@ impl Own {
     }
 }
 
-/// The error for files that an import did not make.
 /// Whether a settings file has the section `[start]` and nothing else.
 fn is_only_start(scene: &Path) -> bool {
-    let text = fs::read_to_string(scene).unwrap_or_default();
-    text.parse::<toml::Table>().is_ok_and(|table| table.keys().all(|key| key == "start"))
+    let table = fs::read_to_string(scene).ok().and_then(|text| text.parse::<toml::Table>().ok());
+    table.is_some_and(|table| table.keys().all(|key| key == "start"))
 }
 
+/// The error for files that an import did not make.
 fn of_others(files: &[PathBuf], folder: &Path) -> ImportError {
     let what = match files.len() {
         0 | 1 => "it lies where frames do, and the import did not make it".to_owned(),

@@ -70,7 +70,13 @@ fn control_group() -> Option<u64> {
         let text = std::fs::read_to_string(std::path::Path::new("/sys/fs/cgroup").join(path).join(file)).ok()?;
         text.trim().parse::<u64>().ok()
     };
-    Some(number("memory.max")?.saturating_sub(number("memory.current")?))
+    // Pages of files are given back when memory is short.
+    let stat = std::fs::read_to_string(std::path::Path::new("/sys/fs/cgroup").join(path).join("memory.stat"));
+    let pages = |kind: &str| -> Option<u64> {
+        stat.as_ref().ok()?.lines().find_map(|line| line.strip_prefix(kind)?.trim().parse().ok())
+    };
+    let files: u64 = ["inactive_file ", "active_file "].into_iter().filter_map(pages).sum();
+    Some(number("memory.max")?.saturating_sub(number("memory.current")?.saturating_sub(files)))
 }
 
 /// What is left below the limit of the address space (`ulimit -v`).

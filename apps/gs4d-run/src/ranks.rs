@@ -80,8 +80,9 @@ fn train(
     });
     let data = data.and_then(|data| {
         let same = origin(&data) == *of_first;
-        same.then(|| Arc::new(data))
-            .ok_or_else(|| TrainError::State("the data here are not those of the first rank".into()))
+        same.then(|| Arc::new(data)).ok_or_else(|| {
+            TrainError::State("the data here are not those of the first rank, or files of them cannot be read".into())
+        })
     });
     match Trainer::join(registry, data, image_bytes, ranks.clone()).and_then(|mut trainer| trainer.follow()) {
         Err(e @ TrainError::Ranks(_)) => Err(e.into()),

@@ -206,7 +206,8 @@ fn at_rest(frames: &[Vec<Vec3>], radius: f32) -> Vec<bool> {
 /// much: a method need not move splats beyond them.
 fn velocities(method: &Model, at: f32, end: f32) -> Result<Vec<Motion<f32>>, MethodError> {
     const STEP: f32 = 0.005;
-    let (from, to) = ((at - STEP).max(0.0), (at + STEP).min(end));
+    let from = (at - STEP).max(at.min(0.0));
+    let to = (at + STEP).min(end.max(from + STEP));
     let camera = neutral_camera();
     let means = |t| method.all_splats(&Timestamp::normalised(t), &camera).map(|s| s.means);
     let (before, after) = (means(from)?, means(to)?);
