@@ -197,7 +197,7 @@ mod tests {
         };
         assert_eq!(
             read(&[0.0, 1.0, 1.0, 0.0, 0.0, 1.0]).unwrap().shape(),
-            (1, 2, 3),
+            (2, 1, 3),
             "black, white and masks are colours"
         );
         assert_eq!(read(&[0.0, 1.5, 2.0, 0.0, 0.0, 1.0]).unwrap().data[1], 1.5, "so is what is brighter than white");
