@@ -1,7 +1,7 @@
 //! Single wrong poses by matched corners: the matches of a view disagree with its own pose and agree with another one.
 
 use super::hull_fit::{Found, turned_by};
-use super::matching::{Matches, angle_between};
+use super::matching::{Matches, SAME_PLACE, angle_between};
 use super::refit::{Fit, Seen, refit, share};
 use glam::{DVec2, DVec3};
 use gs_core::Camera;
@@ -9,8 +9,6 @@ use rayon::prelude::*;
 
 /// Views with most matches that are asked about a pose.
 const PARTNERS: usize = 6;
-/// Distance below which two cameras are at one place, world units.
-const SAME_PLACE: f64 = 1e-6;
 /// Fewest matches with neighbours for a first look, and the largest share of them that agrees with a suspect's pose.
 const MIN_MATCHES: usize = 20;
 const SUSPECT_SHARE: f64 = 0.2;
@@ -82,8 +80,8 @@ impl<'m, 'v> CornerFit<'m, 'v> {
         of.iter().map(|(j, points)| Seen { camera: &self.matches.cameras[*j], points }).collect()
     }
 
-    /// The views from other places with most matches, wherever the poses put them: of the same place, as of a camera at rest,
-    /// all matches agree with any pose there.
+    /// The views from other places with most matches, wherever the poses put them: matches with views from the same
+    /// place, as of a camera at rest, say nothing of a pose.
     fn partners(&self, i: usize) -> Vec<(usize, Vec<[DVec2; 2]>)> {
         let place = |k: usize| self.matches.cameras[k].position();
         let mut all = self.matches.with_all(i);

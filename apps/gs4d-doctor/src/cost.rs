@@ -107,6 +107,7 @@ pub(super) fn check(data: &Dataset, options: &CostOptions) -> (Vec<Finding>, Opt
     }
 }
 
+/// The warning that nothing moves in the data of a method that learns motion.
 fn still(data: &Dataset, options: &CostOptions) -> Option<Finding> {
     match resolved(data, options).ok()?.fits(data) {
         Err(e @ RunError::Static { .. }) => {
@@ -117,6 +118,7 @@ fn still(data: &Dataset, options: &CostOptions) -> Option<Finding> {
     }
 }
 
+/// The settings of the run that is priced.
 fn resolved(data: &Dataset, options: &CostOptions) -> Result<Resolved, RunError> {
     let request = Request {
         method: options.method.clone(),

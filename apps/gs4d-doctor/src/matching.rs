@@ -8,6 +8,8 @@ use gs_core::{Camera, Image};
 use gs_data::{ImageCache, View};
 use rayon::prelude::*;
 
+/// Distance below which two cameras are at one place, world units.
+pub(super) const SAME_PLACE: f64 = 1e-6;
 /// Other views that each view is matched with.
 const NEIGHBOURS: usize = 4;
 /// Most views that one is matched with to learn where it belongs.
@@ -128,7 +130,7 @@ fn neighbours(views: &[&View], focus: DVec3) -> Vec<[usize; 2]> {
         let turned = angle_between(&views[i].camera, &views[j].camera);
         let late = f64::from((views[i].time.normalised - views[j].time.normalised).abs());
         let near = if angle < MIN_ANGLE { 1.0 } else { 0.0 };
-        let elsewhere = views[i].camera.position().distance(views[j].camera.position()) > 1e-6;
+        let elsewhere = views[i].camera.position().distance(views[j].camera.position()) > SAME_PLACE;
         (elsewhere && angle.max(turned) < MAX_ANGLE).then_some(angle + turned + 3.0 * late + near)
     };
     let of = |i: usize| {

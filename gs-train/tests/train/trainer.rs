@@ -238,7 +238,7 @@ impl Ranks for Astray {
 }
 
 #[test]
-fn ranks_that_differ_are_told_before_anything_is_saved() {
+fn ranks_that_differ_are_reported_before_anything_is_saved() {
     let (data, registry) = (data(16, 4), gs_methods::registry());
     let lead = Trainer::new(registry, data.clone(), "static3d", &tiny("static3d"), TrainOptions::default());
     let mut ranks = threads_as_ranks(2);
