@@ -1,10 +1,8 @@
 //! Which images are read: all of a few; of many a sample, spread evenly over splits, cameras and times.
 //!
-//! The views are sorted by split, camera and time and cut into runs of equal length; of each run one view is taken at random.
-//! A fixed step would take the same times of every camera.
+//! The views are sorted by split, camera and time, and [`gs_data::spread`] chooses of them.
 
 use super::{Finding, Verdict};
-use gs_core::{Rng, cast};
 use gs_data::{Dataset, Split};
 
 /// Most images that are read, unless all are asked for.
@@ -35,15 +33,8 @@ impl Sample {
             order.into_iter().map(move |i| (split, i))
         };
         let views: Vec<(Split, usize)> = Split::ALL.iter().flat_map(of_split).collect();
-        if whole {
-            return Self { views, total };
-        }
-        let run = |k: usize| k * total / MAX_IMAGES;
-        let one = |k: usize| {
-            let length = cast::to_u32(run(k + 1) - run(k));
-            views[run(k) + Rng::new(0, "doctor sample", 0, k as u64).below(length) as usize]
-        };
-        Self { views: (0..MAX_IMAGES).map(one).collect(), total }
+        let most = if whole { total } else { MAX_IMAGES };
+        Self { views: gs_data::spread(total, most).into_iter().map(|k| views[k]).collect(), total }
     }
 
     /// What was left out, if anything.
@@ -59,6 +50,7 @@ impl Sample {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gs_core::cast;
     use gs_synth::{SynthOptions, write};
     use std::collections::BTreeMap;
 

@@ -1,4 +1,4 @@
-//! The views whose poses are checked: all of up to [`MAX_VIEWS`], an even selection of more; held-out views too.
+//! The views whose poses are checked: all of up to [`MAX_VIEWS`], a selection of more; held-out views too.
 
 use gs_data::{Dataset, Split, View};
 
@@ -12,8 +12,7 @@ impl Views {
     pub(super) fn of(data: &Dataset) -> Self {
         let of_split = |s: Split| (0..data.views(s).len()).map(move |i| (s, i));
         let all: Vec<(Split, usize)> = [Split::Train, Split::Val, Split::Test].into_iter().flat_map(of_split).collect();
-        let count = all.len().min(MAX_VIEWS);
-        Self((0..count).map(|k| all[k * all.len() / count]).collect())
+        Self(gs_data::spread(all.len(), MAX_VIEWS).into_iter().map(|k| all[k]).collect())
     }
 
     pub(super) fn list<'a>(&self, data: &'a Dataset) -> Vec<&'a View> {

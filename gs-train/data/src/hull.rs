@@ -22,7 +22,7 @@ use super::{Dataset, PointCloud, View};
 
 /// Cells along each side of the cubic grid.
 const SIDE: usize = 64;
-/// Most views used; of more, an even selection.
+/// Most views used; of more, a selection ([`spread`](super::spread())).
 const MAX_VIEWS: usize = 160;
 /// Images are shrunk to about this many pixels per side.
 const IMAGE_SIDE: f64 = 200.0;
@@ -189,7 +189,7 @@ impl Carved {
         Self { silhouettes, hull, ..*self }
     }
 
-    /// The silhouettes of other views, such as held-out ones, ascending in time: an even selection of many.
+    /// The silhouettes of other views, such as held-out ones, ascending in time: a selection of many.
     ///
     /// # Errors
     /// Those of decoding the images.
@@ -234,13 +234,12 @@ impl Carved {
     }
 }
 
-/// The views ascending in time, an even selection at reduced size; `by_mask` takes those with a mask, which becomes their alpha.
+/// The views ascending in time, a selection at reduced size; `by_mask` takes those with a mask, which becomes their alpha.
 fn silhouettes(train: &[View], by_mask: bool, max_image_mib: Option<u32>) -> Result<Vec<Silhouette>, DataError> {
     let mut order: Vec<(usize, &View)> =
         train.iter().enumerate().filter(|(_, v)| !by_mask || v.mask.is_some()).collect();
     order.sort_by(|a, b| a.1.time.normalised.total_cmp(&b.1.time.normalised));
-    let count = order.len().min(MAX_VIEWS);
-    let chosen: Vec<(usize, &View)> = (0..count).map(|k| order[k * order.len() / count]).collect();
+    let chosen: Vec<(usize, &View)> = super::spread(order.len(), MAX_VIEWS).into_iter().map(|k| order[k]).collect();
     let largest = chosen.iter().map(|(_, v)| v.camera.width.max(v.camera.height)).max().unwrap_or(1);
     let cache = ImageCache::new(0, IMAGE_SIDE / f64::from(largest)).with_max_image_mib(max_image_mib);
     let load = |&(index, v): &(usize, &View)| {

@@ -106,6 +106,7 @@ mod pose;
 mod scene_file;
 mod select;
 mod shift;
+mod spread;
 mod start;
 mod table;
 mod times;
@@ -121,6 +122,7 @@ pub use lens::Lens;
 pub use options::{DataOptions, TimeFrom, TimeRange, TimeShift};
 pub use pixels::ImageU8;
 pub use scene_file::write_times;
+pub use spread::spread;
 pub use start::{Start, StartFrom, cube, has_start_points, write_start};
 pub use view::{ImageSource, PointCloud, Split, View};
 

@@ -132,8 +132,8 @@ impl Dataset {
         let count = with.len().min(MAX_DEPTHS).min(n.max(1));
         let cache = ImageCache::new(0, 1.0).with_max_image_mib(self.max_image_mib);
         let mut cloud = PointCloud::default();
-        for k in 0..count {
-            let view = with[k * with.len() / count];
+        for (k, i) in super::spread(with.len(), count).into_iter().enumerate() {
+            let view = with[i];
             let (Some(depth), image) = (cache.depth(view)?, cache.get(view)?) else { continue };
             let wanted = (k + 1) * n / count - k * n / count;
             let mut random = Rng::new(seed, "data.depth", 0, k as u64);

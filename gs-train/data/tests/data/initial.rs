@@ -5,6 +5,7 @@ use glam::Vec3;
 use gs_data::pixels::ImageU8;
 use gs_data::{DataOptions, Dataset, ImageSource};
 use gs_synth::{SynthOptions, generate, write};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 fn options() -> SynthOptions {
@@ -41,6 +42,16 @@ fn a_moving_scene_keeps_the_places_its_bodies_pass() {
     }
     let outer = cloud.positions.iter().filter(|p| p.abs().max_element() > 1.1).count();
     assert!(outer < 3000, "{outer} of 20000 points in the outer 40 % of the box");
+}
+
+#[test]
+fn the_hull_of_a_long_sequence_is_carved_by_all_cameras_of_its_rig() {
+    let rig = SynthOptions { size: 16, cameras: 8, moments: 160, ..options() };
+    let data = generate("falling", &rig).unwrap().dataset;
+    let carved = gs_data::hull::carve(&data, 0.95).unwrap().unwrap();
+    let of = |views: &mut dyn Iterator<Item = usize>| views.map(|i| data.train[i].camera_id).collect::<BTreeSet<_>>();
+    let [used, all] = [of(&mut carved.silhouettes.iter().map(|s| s.index)), of(&mut (0..data.train.len()))];
+    assert!(data.train.len() > 1000 && all.len() > 5 && used == all, "{used:?} of {all:?}");
 }
 
 #[test]
