@@ -78,6 +78,8 @@ pub struct Tof {
     flows: [Flow; 2],
     /// Number of frames added so far.
     frames: usize,
+    /// Whether the next frame does not follow the last one.
+    cut: bool,
     size: Option<(usize, usize)>,
     pairs: Vec<(usize, f64)>,
 }
@@ -109,7 +111,8 @@ impl Tof {
                 self.estimate.expand(image, expansion)?;
             }
         }
-        if at > skipped {
+        let cut = std::mem::take(&mut self.cut);
+        if at > skipped && !cut {
             for k in 0..2 {
                 self.estimate.between(&self.previous[k], &self.current[k], &mut self.flows[k])?;
             }
@@ -121,16 +124,21 @@ impl Tof {
         Ok(())
     }
 
+    /// The next frame does not follow the last one in time: the two are no pair.
+    pub fn cut(&mut self) {
+        self.cut = true;
+    }
+
     /// The score of all frames added.
     ///
     /// # Errors
-    /// If no pair is left: fewer than 2 frames, or fewer than 6 with [`TofOptions::trim`].
+    /// If no pair is left: fewer than 2 frames, or fewer than 6 with [`TofOptions::trim`], or cuts between all of them.
     pub fn finish(mut self) -> Result<TofScore, MetricError> {
         let (skipped, need) = if self.options.trim { (TRIMMED, 2 * TRIMMED + 2) } else { (0, 2) };
-        if self.frames < need {
+        self.pairs.retain(|(i, _)| i + skipped < self.frames);
+        if self.frames < need || self.pairs.is_empty() {
             return Err(MetricError::TooFewFrames { metric: "tOF", got: self.frames, need });
         }
-        self.pairs.retain(|(i, _)| i + skipped < self.frames);
         let mean = self.pairs.iter().map(|p| p.1).sum::<f64>() / self.pairs.len() as f64;
         Ok(TofScore { mean, pairs: self.pairs })
     }
@@ -195,6 +203,23 @@ mod tests {
         let trimmed = score(7, TofOptions { crop: false, ..TofOptions::default() }, 1.5, 1.0).unwrap();
         let same = score(7, whole, 1.5, 1.0).unwrap();
         assert_eq!(trimmed.pairs[..], same.pairs[2..4], "a pair does not depend on its neighbours");
+    }
+
+    #[test]
+    fn frames_apart_are_no_pair() {
+        let whole = TofOptions { trim: false, crop: false };
+        let all = score(6, whole, 1.5, 1.0).unwrap();
+        let cut_before = |cuts: &[usize]| {
+            let mut tof = Tof::new(whole);
+            for i in 0..6 {
+                cuts.iter().filter(|cut| **cut == i).for_each(|_| tof.cut());
+                tof.add(&frame(i, 1.5), &frame(i, 1.0)).unwrap();
+            }
+            tof.finish()
+        };
+        assert_eq!(cut_before(&[3]).unwrap().pairs, [&all.pairs[..2], &all.pairs[3..]].concat());
+        assert_eq!(cut_before(&[0]).unwrap(), all, "nothing comes before the first");
+        assert!(matches!(cut_before(&[1, 2, 3, 4, 5]), Err(MetricError::TooFewFrames { .. })));
     }
 
     #[test]

@@ -1,8 +1,8 @@
 //! Temporal consistency of renders: tOF ([`gs_metrics::tof`]) against ground truth over the views of one camera.
 //!
-//! Flow between consecutive frames is meaningful only along a video: views of **one** camera, one per time, at most four
-//! typical time steps of the data set apart. Anything else is an error. A split of several cameras is scored camera by camera
-//! ([`tof_by_camera`]).
+//! Flow between consecutive frames is meaningful only along a video: views of **one** camera, one per time, as a rule at most four
+//! typical time steps of the data set apart. Anything else is an error; two that are further apart are no pair. A split of several
+//! cameras is scored camera by camera ([`tof_by_camera`]).
 
 use crate::folders::VideoScore;
 use gs_data::{DataError, Dataset, Split, View};
@@ -15,7 +15,7 @@ use gs_train::model::Model;
 use gs_train::ranks::Share;
 use gs_train::renderer::Renderer;
 
-/// Largest median time step between views, in median time steps of the data set.
+/// Largest time step between the views of a pair, and largest median one, in median time steps of the data set.
 pub(crate) const MAX_SKIPPED: f64 = 4.0;
 
 /// Views that have no tOF.
@@ -86,10 +86,11 @@ pub fn tof(
     Films::new(method, dataset.views(split), scoring)?.score(&views, options)
 }
 
-/// tOF of every camera of a split whose views are a video, in the order of the data. The others are left out.
+/// tOF of every camera of a split whose views are a video of enough frames that are large enough, in the order of the data. The others
+/// are left out.
 ///
 /// # Errors
-/// As [`tof`]; if no camera filmed a video, why the one with the most views did not.
+/// As [`tof`]; if no camera has a score, why the one with the most views has none.
 pub fn tof_by_camera(
     method: &Model,
     dataset: &Dataset,
@@ -105,7 +106,43 @@ pub fn tof_by_camera(
         return video(dataset, longest.unwrap_or_else(|| all.iter().collect())).map(|_| Vec::new());
     }
     let mut films = Films::new(method, all, scoring)?;
-    videos.iter().map(|views| films.score(views, options)).collect()
+    let (mut scores, mut why) = (Vec::new(), None);
+    for video in videos {
+        match films.score(&video, options) {
+            Ok(score) => scores.push(score),
+            Err(e) if e.is_of_the_video() => {
+                let longest: &mut (usize, _) = why.get_or_insert((0, None));
+                if video.views.len() > longest.0 {
+                    *longest = (video.views.len(), Some(e));
+                }
+            }
+            Err(e) => return Err(e),
+        }
+    }
+    match why.and_then(|(_, e)| e).filter(|_| scores.is_empty()) {
+        Some(e) => Err(e),
+        None => Ok(scores),
+    }
+}
+
+impl TemporalError {
+    /// Whether the views have no tOF, whatever the model draws.
+    pub fn is_of_the_video(&self) -> bool {
+        match self {
+            Self::NoVideo(_) | Self::Cameras { .. } | Self::SameTime { .. } | Self::Sparse { .. } => true,
+            Self::Metric { source, .. } => {
+                matches!(source, MetricError::TooFewFrames { .. } | MetricError::TooSmall { .. })
+            }
+            Self::Method(_) | Self::Data(_) | Self::Place(_) => false,
+        }
+    }
+}
+
+/// Views of one camera in order of time.
+struct Video<'a> {
+    views: Vec<&'a View>,
+    /// Longest time step of a pair, normalised.
+    longest: f64,
 }
 
 /// Renders views of a split and scores them as videos.
@@ -127,11 +164,13 @@ impl<'a> Films<'a> {
         Ok(Self { method, all, corrections, scoring, renderer })
     }
 
-    /// tOF of a video, views in order of time.
-    fn score(&mut self, views: &[&View], options: TofOptions) -> Result<VideoScore, TemporalError> {
+    fn score(&mut self, video: &Video<'_>, options: TofOptions) -> Result<VideoScore, TemporalError> {
         let Scoring { background, images, quantise, .. } = *self.scoring;
-        let mut tof = Tof::new(options);
-        for &view in views {
+        let (mut tof, views) = (Tof::new(options), &video.views);
+        for (k, &view) in views.iter().enumerate() {
+            if k > 0 && time(view) - time(views[k - 1]) > video.longest {
+                tof.cut();
+            }
             let row = self.all.iter().position(|v| std::ptr::eq(v, view));
             let correction = row.and_then(|row| *self.corrections.get(row)?);
             let shown = correction.unwrap_or_default().corrected(view);
@@ -166,8 +205,13 @@ fn by_camera(views: &[View]) -> Vec<Vec<&View>> {
     cameras
 }
 
+/// Time of a view, normalised.
+fn time(view: &View) -> f64 {
+    f64::from(view.time.normalised)
+}
+
 /// These views in order of time, if they form a video.
-fn video<'a>(dataset: &Dataset, mut views: Vec<&'a View>) -> Result<Vec<&'a View>, TemporalError> {
+fn video<'a>(dataset: &Dataset, mut views: Vec<&'a View>) -> Result<Video<'a>, TemporalError> {
     views.sort_by(|a, b| a.time.normalised.total_cmp(&b.time.normalised));
     let Some(first) = views.first().filter(|_| views.len() > 1) else {
         return Err(TemporalError::NoVideo(views.len()));
@@ -175,14 +219,14 @@ fn video<'a>(dataset: &Dataset, mut views: Vec<&'a View>) -> Result<Vec<&'a View
     if let Some(other) = views.iter().find(|v| !same_camera(first, v)) {
         return Err(TemporalError::Cameras { first: first.name.clone(), second: other.name.clone() });
     }
-    let time = |v: &View| f64::from(v.time.normalised);
     if let Some(w) = views.windows(2).find(|w| time(w[0]) == time(w[1])) {
         return Err(TemporalError::SameTime { first: w[0].name.clone(), second: w[1].name.clone() });
     }
     let splits = [Split::Train, Split::Val, Split::Test, Split::Extrapolate];
     let all = splits.map(|s| dataset.views(s).iter().map(time)).into_iter().flatten();
     let (gap, step) = (typical_gap(views.iter().map(|v| time(v))), typical_gap(all));
-    if gap > MAX_SKIPPED * step * (1.0 + 1e-6) { Err(TemporalError::Sparse { gap, step }) } else { Ok(views) }
+    let longest = MAX_SKIPPED * step * (1.0 + 1e-6);
+    if gap > longest { Err(TemporalError::Sparse { gap, step }) } else { Ok(Video { views, longest }) }
 }
 
 /// Median step between distinct times; 0 for one time.
@@ -206,15 +250,19 @@ mod tests {
         synth::generate("balls", &SynthOptions { size: 48, ..options }).unwrap().dataset
     }
 
-    /// Scores of a model that rests.
     fn by_cameras(data: &Dataset) -> Result<Vec<VideoScore>, TemporalError> {
+        by_cameras_with(data, TofOptions { trim: false, crop: false })
+    }
+
+    /// Scores of a model that rests.
+    fn by_cameras_with(data: &Dataset, options: TofOptions) -> Result<Vec<VideoScore>, TemporalError> {
         let entry = gs_methods::registry().find("static3d").unwrap();
         let config = entry.config("tiny").unwrap();
         let scene = SceneInfo::of(data, &section("static3d", &config, "init").unwrap(), 0).unwrap();
         let model = entry.model(&config, &scene).unwrap();
         let (images, share, device) = (ImageCache::new(16 << 20, 1.0), Share::default(), Default::default());
         let scoring = Scoring::new([0.0; 3], &images, &share, &device);
-        tof_by_camera(&model, data, Split::Test, &scoring, TofOptions { trim: false, crop: false })
+        tof_by_camera(&model, data, Split::Test, &scoring, options)
     }
 
     #[test]
@@ -231,6 +279,27 @@ mod tests {
         // One image of the other camera is no video.
         alone.test.extend(data.test.iter().find(|v| v.camera_id != first).cloned());
         assert_eq!(by_cameras(&alone).unwrap(), both[..1]);
+    }
+
+    #[test]
+    fn a_hole_is_no_pair_and_a_short_video_spoils_no_other() {
+        let mut data = generated(SynthOptions { cameras: 2, held_out: 1, moments: 16, ..SynthOptions::default() });
+        data.test.drain(5..12);
+        let score = by_cameras(&data).unwrap();
+        assert_eq!(score[0].pairs.len(), data.test.len() - 2);
+        assert!(score[0].pairs.iter().all(|p| p.name != data.test[5].name), "the first after the hole");
+
+        let mut data = generated(SynthOptions { cameras: 2, held_out: 2, moments: 8, ..SynthOptions::default() });
+        let first = data.test[0].camera_id;
+        let mut of_second = 0;
+        data.test.retain(|v| {
+            of_second += u32::from(v.camera_id != first);
+            v.camera_id == first || of_second <= 3
+        });
+        let trimmed = |data: &Dataset| by_cameras_with(data, TofOptions { trim: true, crop: false });
+        assert_eq!(trimmed(&data).unwrap().len(), 1);
+        data.test.retain(|v| v.camera_id != first);
+        assert!(matches!(trimmed(&data), Err(TemporalError::Metric { source: MetricError::TooFewFrames { .. }, .. })));
     }
 
     #[test]

@@ -227,9 +227,7 @@ fn value(
 impl Unmeasured {
     /// Whether the views have no tOF, whatever the run.
     fn is_no_video(&self) -> bool {
-        use TemporalError::{Cameras, Metric, NoVideo, SameTime, Sparse};
-        let Self::Temporal(e) = self else { return false };
-        matches!(e, NoVideo(_) | Cameras { .. } | SameTime { .. } | Sparse { .. } | Metric { .. })
+        matches!(self, Self::Temporal(e) if e.is_of_the_video())
     }
 }
 
