@@ -136,21 +136,27 @@ pub struct FittedScores {
 }
 
 impl FittedScores {
-    /// Of a frame, not clamped, and its image, both over a background.
-    fn of(frame: &Frame, background: [f32; 3], truth: &Image, mask: Option<&Image>) -> Result<Self, MetricError> {
+    /// Of a frame, not clamped, and its image, both over the background of the scoring; rounded as it says. None for an empty mask.
+    fn of(
+        frame: &Frame,
+        scoring: &Scoring<'_>,
+        truth: &Image,
+        mask: Option<&Image>,
+    ) -> Result<Option<Self>, MetricError> {
+        if mask.is_some_and(|m| m.data.iter().all(|w| *w <= 0.0)) {
+            return Ok(None);
+        }
+        let background = scoring.background;
         let mut fitted = Image::default();
         let map = fit_before(frame, background, truth, mask, FIT_RIDGE, &mut fitted)?;
         map_before(&map, frame, background, &mut fitted);
         fitted.data.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
+        scoring.quantise.apply(&mut fitted);
         let (mse, ssim) = match mask {
             Some(mask) => (masked_mse(&fitted, truth, mask), masked_ssim(&fitted, truth, mask).ok().map(|s| s.whole)),
             None => (mse(&fitted, truth), Some(ssim(&fitted, truth, &SsimOptions::default())?)),
         };
-        let psnr = match mse {
-            Err(MetricError::EmptyMask) => None,
-            other => Some(psnr_from_mse(other?)).filter(|v| v.is_finite()),
-        };
-        Ok(Self { psnr, ssim })
+        Ok(Some(Self { psnr: Some(psnr_from_mse(mse?)).filter(|v| v.is_finite()), ssim }))
     }
 
     fn mean(all: impl Iterator<Item = Self> + Clone) -> Option<Self> {
@@ -264,6 +270,13 @@ impl EvalReport {
     /// Mean PSNR beyond the last training time, dB, where it was scored.
     pub fn extrapolated_psnr(&self) -> Option<f64> {
         self.extrapolate.as_ref()?.mean.psnr
+    }
+
+    /// Mean over views of a score less that of the same view in another report, over the views that have it in both: of PSNR those that
+    /// neither shows without error. The difference of two means would be over different views. None without such a view.
+    pub fn less(&self, other: &Self, score: impl Fn(&ViewScores) -> Option<f64>) -> Option<f64> {
+        let pairs = self.views.iter().zip(&other.views).filter(|(a, b)| a.name == b.name);
+        Mean::of(pairs.filter_map(|(a, b)| Some(score(a)? - score(b)?))).value
     }
 }
 
@@ -379,7 +392,7 @@ impl<'a> Scoring<'a> {
         let mut scored = || {
             let scores = scorer.score(&rendered, &truth)?;
             let of = ViewScores::of(view, &scores, [&rendered, &truth], mask, self.lpips)?;
-            let fitted = self.fit_colors.then(|| FittedScores::of(frame, self.background, &truth, mask)).transpose()?;
+            let fitted = self.fit_colors.then(|| FittedScores::of(frame, self, &truth, mask)).transpose()?.flatten();
             Ok((ViewScores { fitted, ..of }, scores.mse))
         };
         scored().map_err(|source| EvalError::Metric { view: view.name.clone(), source })

@@ -108,9 +108,9 @@ impl Standing {
         self.trials.iter().find(|t| t.seed == seed)
     }
 
-    /// A score less that of another entry with the same seed, for every seed of which both have it.
-    pub fn less(&self, other: &Self, score: impl Fn(&EvalReport) -> Option<f64>) -> Vec<f64> {
-        let pair = |t: &Trial| Some(score(&t.scores)? - score(&other.of_seed(t.seed)?.scores)?);
+    /// PSNR less that of another entry with the same seed ([`EvalReport::less`]), dB, for every seed of which both have it.
+    pub fn psnr_less(&self, other: &Self) -> Vec<f64> {
+        let pair = |t: &Trial| t.scores.less(&other.of_seed(t.seed)?.scores, |view| view.psnr);
         self.trials.iter().filter_map(pair).collect()
     }
 }

@@ -12,7 +12,12 @@ pub struct Column {
     pub digits: usize,
     /// How it is measured.
     pub measure: Measure,
+    /// The difference of two trials view by view, where one score is left out of means over views; else that of the scores.
+    pub less: Option<Less>,
 }
+
+/// A score of the first report less that of the second; `None` where they have none in common.
+pub type Less = fn(&EvalReport, &EvalReport) -> Option<f64>;
 
 /// How a column is measured.
 #[derive(Clone, Copy, Debug)]
@@ -54,26 +59,33 @@ fn masked(r: &EvalReport) -> Option<MaskedScores> {
 }
 
 const fn scores(name: &'static str, digits: usize, of: Score) -> Column {
-    Column { name, digits, measure: Measure::Scores(of) }
+    Column { name, digits, measure: Measure::Scores(of), less: None }
 }
 
+/// A PSNR: of a view without error it is infinite, and not in the mean.
+const fn psnr(name: &'static str, of: Score, less: Less) -> Column {
+    Column { name, digits: 2, measure: Measure::Scores(of), less: Some(less) }
+}
+
+const LESS: Less = |a, b| a.less(b, |view| view.psnr);
+
 const fn lpips(name: &'static str, of: Score) -> Column {
-    Column { name, digits: 3, measure: Measure::Lpips(of) }
+    Column { name, digits: 3, measure: Measure::Lpips(of), less: None }
 }
 
 /// The columns of tables that are run.
 const COLUMNS: [Column; 12] = [
-    scores("psnr", 2, |r| r.mean.psnr),
+    psnr("psnr", |r| r.mean.psnr, LESS),
     scores("ssim", 4, |r| r.mean.ssim),
     scores("ms_ssim", 4, |r| r.mean.ms_ssim),
     lpips("lpips", |r| r.mean.lpips),
-    scores("masked_psnr", 2, |r| masked(r)?.psnr),
+    psnr("masked_psnr", |r| masked(r)?.psnr, |a, b| a.less(b, |view| view.masked?.psnr)),
     scores("masked_ssim", 4, |r| masked(r)?.ssim),
     lpips("masked_lpips", |r| masked(r)?.lpips),
-    scores("future_psnr", 2, EvalReport::extrapolated_psnr),
+    psnr("future_psnr", EvalReport::extrapolated_psnr, |a, b| LESS(a.extrapolate.as_ref()?, b.extrapolate.as_ref()?)),
     scores("future_ssim", 4, |r| r.extrapolate.as_ref()?.mean.ssim),
     lpips("future_lpips", |r| r.extrapolate.as_ref()?.mean.lpips),
-    Column { name: "tof", digits: 3, measure: Measure::Tof },
+    Column { name: "tof", digits: 3, measure: Measure::Tof, less: None },
     scores("megabytes", 2, |r| Some(r.parameter_bytes as f64 * 1e-6)),
 ];
 
@@ -86,7 +98,7 @@ impl Column {
     /// The same on generated scenes, which have no masks: masked scores are those of all pixels.
     pub(crate) fn on_generated(self) -> Self {
         match self.name {
-            "masked_psnr" => Self { measure: Measure::Scores(|r| r.mean.psnr), ..self },
+            "masked_psnr" => psnr(self.name, |r| r.mean.psnr, LESS),
             "masked_ssim" => Self { measure: Measure::Scores(|r| r.mean.ssim), ..self },
             "masked_lpips" => Self { measure: Measure::Lpips(|r| r.mean.lpips), ..self },
             _ => self,
@@ -96,9 +108,9 @@ impl Column {
     /// The same with this mean over images, where it is a PSNR of all pixels.
     pub(crate) fn with_mean(self, mean: PsnrMean) -> Self {
         match (mean, self.name) {
-            (PsnrMean::MeanError, "psnr") => Self { measure: Measure::Scores(|r| r.psnr_of_mean_mse), ..self },
+            (PsnrMean::MeanError, "psnr") => scores(self.name, self.digits, |r| r.psnr_of_mean_mse),
             (PsnrMean::MeanError, "future_psnr") => {
-                Self { measure: Measure::Scores(|r| r.extrapolate.as_ref()?.psnr_of_mean_mse), ..self }
+                scores(self.name, self.digits, |r| r.extrapolate.as_ref()?.psnr_of_mean_mse)
             }
             _ => self,
         }

@@ -33,7 +33,7 @@ mod sets;
 mod table;
 
 pub use beside::{Beside, carry_columns};
-pub use column::{Column, Measure, PsnrMean, Score};
+pub use column::{Column, Less, Measure, PsnrMean, Score};
 pub use network::Network;
 pub use nightly::Nightly;
 pub use outcome::{EntryOutcome, NotRun, Order, Outcome, PublishedMean, SceneOutcome, Value, Verdict};

@@ -72,7 +72,7 @@ pub enum Verdict {
 pub struct Order {
     /// The other entry.
     pub other: String,
-    /// Published mean of the first less that of the other, over the scenes that were run; over all where generated ones stand in. Absent where the paper
+    /// Published mean of the first less that of the other, over the scenes that have pairs; over all where generated ones stand in. Absent where the paper
     /// has no figures of just these scenes.
     pub published: Option<f64>,
     /// Mean over pairs of the same scene and seed.
@@ -236,7 +236,7 @@ fn average(reproduction: &Reproduction, results: &[Results], beside: &Beside) ->
             Spread::of(&seeds.iter().filter_map(of).collect::<Vec<_>>())
         };
         let of = |(k, column): (usize, &Column)| Value {
-            published: published_mean(reproduction, &entry.name, k),
+            published: published_mean(reproduction, &entry.name, k, &vec![true; reproduction.scenes.len()]),
             // Masked scores of some scenes and whole ones of others have no mean.
             ours: mean(&|t| beside.score(column, t)).filter(|_| !(mixed && column.is_masked())),
         };
@@ -254,17 +254,20 @@ fn average(reproduction: &Reproduction, results: &[Results], beside: &Beside) ->
     SceneOutcome { scene: "mean over these scenes".to_owned(), generated, entries: entries.collect() }
 }
 
-/// The published mean over the scenes that were run: the printed one if these are all, else that of the printed rows.
-fn published_mean(reproduction: &Reproduction, entry: &str, column: usize) -> Option<f64> {
+/// The published mean over the scenes that stand: the printed one if these are all, else that of the printed rows.
+fn published_mean(reproduction: &Reproduction, entry: &str, column: usize, stands: &[bool]) -> Option<f64> {
     let Reproduction { table, scenes, absent, .. } = reproduction;
     let rows: Option<Vec<f64>> = scenes
         .iter()
-        .map(|chosen| match chosen {
+        .zip(stands)
+        .filter(|(_, stands)| **stands)
+        .map(|(chosen, _)| match chosen {
             Chosen::Published(scene, _) => table.published(scene, entry, column),
             Chosen::Generated(_) => None,
         })
         .collect();
-    let all = absent.is_empty() && scenes.iter().all(|s| matches!(s, Chosen::Published(..)));
+    let published = scenes.iter().all(|s| matches!(s, Chosen::Published(..)));
+    let all = absent.is_empty() && published && stands.iter().all(|stands| *stands);
     let printed = table.published_average(entry, column).filter(|_| all && scenes.len() == table.scenes.len());
     printed.or_else(|| Spread::of(&rows?).map(|s| s.mean))
 }
@@ -278,17 +281,18 @@ fn orders(reproduction: &Reproduction, results: &[Results], beside: &Beside) -> 
         return Vec::new();
     };
     // What stands in for the paper's scenes stands in for all of them.
-    let printed = |entry: &str| match generated {
+    let printed = |entry: &str, stands: &[bool]| match generated {
         true => table.published_average(entry, 0),
-        false => published_mean(reproduction, entry, 0),
+        false => published_mean(reproduction, entry, 0, stands),
     };
     let order = |(k, other): (usize, &&TableEntry)| {
-        let published = printed(&first.name).zip(printed(&other.name)).map(|(a, b)| a - b);
         let pairs = |r: &Results| match (r.standings.first(), r.standings.get(k)) {
             (Some(first), Some(other)) => less(first, other, column, beside),
             _ => Vec::new(),
         };
         let scenes: Vec<Vec<f64>> = results.iter().map(pairs).collect();
+        let stands: Vec<bool> = scenes.iter().map(|pairs| !pairs.is_empty()).collect();
+        let published = printed(&first.name, &stands).zip(printed(&other.name, &stands)).map(|(a, b)| a - b);
         Order::of(other.name.clone(), published, &scenes)
     };
     names.iter().enumerate().skip(1).map(order).collect()
@@ -296,7 +300,13 @@ fn orders(reproduction: &Reproduction, results: &[Results], beside: &Beside) -> 
 
 /// A column less that of another entry with the same seed, for every seed of which both have it.
 fn less(first: &Standing, other: &Standing, column: &Column, beside: &Beside) -> Vec<f64> {
-    let pair = |t: &Trial| Some(beside.score(column, t)? - beside.score(column, other.of_seed(t.seed)?)?);
+    let pair = |a: &Trial| {
+        let b = other.of_seed(a.seed)?;
+        match column.less {
+            Some(less) => less(&a.scores, &b.scores),
+            None => Some(beside.score(column, a)? - beside.score(column, b)?),
+        }
+    };
     first.trials.iter().filter_map(pair).collect()
 }
 

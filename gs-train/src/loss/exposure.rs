@@ -86,6 +86,12 @@ pub(crate) fn fit_before(
     }
     let mut shown = target.clone();
     [&mut *colors, &mut shown].into_iter().for_each(|image| add_background(image, &frame.alpha, background, -1.0));
+    // Saturated colours stay so: they tell the map nothing.
+    for ((shown, target), alpha) in shown.data.chunks_exact_mut(3).zip(target.data.chunks_exact(3)).zip(&frame.alpha) {
+        if *alpha > 0.0 && target.iter().any(|y| *y >= SATURATED) {
+            shown.fill(SATURATED);
+        }
+    }
     ColorMap::fit(colors, &shown, mask, ridge)
 }
 
@@ -331,6 +337,25 @@ mod tests {
             let want = (value(h) - value(-h)) / f64::from(2.0 * h);
             let got = f64::from(slopes[p]);
             assert!((got - want).abs() < 2e-2 * want.abs() + 3e-7, "pixel {p}: {got} {want}");
+        }
+    }
+
+    /// Opaque in practice, the image overexposed: what it cut off over white tells no more than over black.
+    #[test]
+    fn saturated_colours_count_before_no_background() {
+        let (gain, alpha, n) = (0.8f32, 0.9995f32, 64 * 64);
+        for background in [[0.0; 3], [1.0; 3]] {
+            let mut rng = Rng::new(6, "exposure", 0, 0);
+            let shown: Vec<f32> = (0..3 * n).map(|_| rng.range(0.0, 1.6)).collect();
+            let over = |v: f32| alpha * v + (1.0 - alpha) * background[0];
+            let image = |data: Vec<f32>| Image { width: 64, height: 64, channels: 3, data };
+            let target = image(shown.iter().map(|v| over(gain * v).min(1.0)).collect());
+            let rgb = image(shown.into_iter().map(over).collect());
+            let frame = Frame { rgb, alpha: vec![alpha; n], ..Frame::default() };
+            let map = fit_before(&frame, background, &target, None, 1e-9, &mut Image::default()).unwrap();
+            for c in 0..3 {
+                assert!((map.matrix[c][c] - f64::from(gain)).abs() < 1e-3, "{background:?}: {:?}", map.matrix);
+            }
         }
     }
 

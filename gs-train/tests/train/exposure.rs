@@ -1,6 +1,8 @@
 //! Images that were not exposed alike: the scene keeps the colours that are right for most, and the mean map is state like any other.
 
+use gs_data::pixels::ImageU8;
 use gs_data::{Dataset, ImageCache, ImageSource, Split};
+use gs_metrics::Quantise;
 use gs_synth::SynthOptions;
 use gs_synth::gains::{exposed, gains_of};
 use gs_train::conformance::Subject;
@@ -76,4 +78,24 @@ fn maps_are_the_same_bits_for_any_threads_and_ranks_and_after_a_resume() {
     let mut plain = start(registry, &data, "fourdgs", &plain, 3);
     run(&mut plain, 5);
     assert!(plain.state().tensor(MAPS).is_err());
+}
+
+#[test]
+fn scores_in_the_colours_of_the_images_are_rounded_and_need_a_pixel_that_counts() {
+    let mut data = Dataset::clone(&scene("static", 24, 4));
+    let size = data.test[0].camera.width as usize;
+    let nothing = ImageU8 { width: size, height: size, data: [0, 0, 0, 255].repeat(size * size) };
+    data.test[0].mask = Some(ImageSource::Memory(Arc::new(nothing)));
+    let config = gs_train::testkit::short(gs_methods::registry(), "static3d", &[BLACK]);
+    let trainer = start(gs_methods::registry(), &Arc::new(data.clone()), "static3d", &config, 0);
+    let (images, share, device) = (ImageCache::new(64 << 20, 1.0), Default::default(), Default::default());
+    let fitted = |quantise: Quantise| {
+        let exact = Scoring::new([0.0; 3], &images, &share, &device);
+        let scoring = Scoring { fit_colors: true, quantise, ..exact };
+        let report = evaluate_with(trainer.model(), &data, Split::Test, &scoring).expect("scores");
+        report.views.iter().map(|v| v.fitted).collect::<Vec<_>>()
+    };
+    let (exact, rounded) = (fitted(Quantise::None), fitted(Quantise::Truncate));
+    assert_eq!(exact[0], None);
+    assert!(exact.len() > 1 && exact[1..].iter().zip(&rounded[1..]).all(|(a, b)| a.is_some() && b.is_some() && a != b));
 }

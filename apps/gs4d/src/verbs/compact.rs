@@ -8,6 +8,7 @@ use crate::global::Global;
 use crate::opening::RunData;
 use crate::output::prepare_file;
 use gs_data::Dataset;
+use gs_train::evaluate::EvalReport;
 use gs4d_run::OpenRun;
 use gs4d_run::compact::{Bits, CompactReport, CompactScene, Packing};
 use serde_json::json;
@@ -66,12 +67,12 @@ impl Compact {
         self.check_out()?;
         let run = self.place.open(&self.run, global)?;
         let dataset = if self.no_eval { None } else { to_score(&run, self.split, None, global)? };
-        let before = self.psnr(&run, dataset.as_ref())?;
+        let before = self.score(&run, dataset.as_ref())?;
         let report = self.write(&run, global)?;
         let data = Path::new(&run.resolved.run.data);
         let mut again = OpenRun::open_with(gs_methods::registry(), &self.out, Some(data))?;
         again.share = run.share.clone();
-        let after = self.psnr(&again, dataset.as_ref())?;
+        let after = self.score(&again, dataset.as_ref())?;
         // The first rank answers.
         Ok(report.map_or_else(|| Answer::new(String::new(), json!(null)), |r| self.answer(&r, before, after)))
     }
@@ -92,9 +93,10 @@ impl Compact {
         Ok(report)
     }
 
-    /// What the file holds, and what it lost; PSNR in dB.
-    fn answer(&self, report: &CompactReport, before: Option<f64>, after: Option<f64>) -> Answer {
-        let change = before.zip(after).map(|(b, a)| a - b);
+    /// What the file holds, and what it lost.
+    fn answer(&self, report: &CompactReport, before: Option<EvalReport>, after: Option<EvalReport>) -> Answer {
+        let change = before.as_ref().zip(after.as_ref()).and_then(|(b, a)| a.less(b, |view| view.psnr));
+        let [before, after] = [before, after].map(|report| report.and_then(|r| r.mean.psnr));
         let mut text = report.to_text();
         if let (Some(before), Some(after), Some(change)) = (before, after, change) {
             text.push_str(&format!("psnr {before:.3} dB before, {after:.3} dB after ({change:+.3} dB)\n"));
@@ -113,9 +115,9 @@ impl Compact {
         prepare_file(self.force, &self.out)
     }
 
-    /// Mean PSNR on the split, dB; `None` without data or where every view is perfect.
-    fn psnr(&self, run: &OpenRun, dataset: Option<&Dataset>) -> Result<Option<f64>, Failure> {
+    /// Scores of the split; `None` without data.
+    fn score(&self, run: &OpenRun, dataset: Option<&Dataset>) -> Result<Option<EvalReport>, Failure> {
         let Some(dataset) = dataset else { return Ok(None) };
-        Ok(run.score(dataset, self.split.into(), run.background())?.mean.psnr)
+        Ok(Some(run.score(dataset, self.split.into(), run.background())?))
     }
 }

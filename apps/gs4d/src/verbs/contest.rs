@@ -101,7 +101,7 @@ impl ContestVerb {
 
 /// PSNR of an entry less that of the first, with the same seeds.
 fn differences(standings: &[Standing], entry: &Standing) -> Vec<f64> {
-    standings.first().map_or_else(Vec::new, |first| entry.less(first, |r| r.mean.psnr))
+    standings.first().map_or_else(Vec::new, |first| entry.psnr_less(first))
 }
 
 /// Head and rows: entry, steps, difference of PSNR to the first entry, and the scores that there are.
@@ -128,7 +128,7 @@ fn remark(standings: &[Standing]) -> String {
     let machines = machines(standings).into_iter().collect::<Vec<_>>();
     let unlike = if machines.len() > 1 { format!("; not alike: {}", machines.join("; ")) } else { String::new() };
     format!(
-        "dB: PSNR less that of the first entry with the same seed; ± one standard deviation over seeds; {time} of training{unlike}"
+        "dB: PSNR less that of the first entry with the same seed, view by view; ± one standard deviation over seeds; {time} of training{unlike}"
     )
 }
 
