@@ -19,7 +19,7 @@ use glam::{DVec3, Vec3};
 use gs_core::cast;
 use rayon::prelude::*;
 
-/// Ridge of the normal equations, relative to their largest diagonal element.
+/// Ridge of the normal equations, relative to their largest diagonal element where the particles' distance is the unit of length.
 const RIDGE: f64 = 1e-9;
 /// Particles per rayon task.
 const BLOCK: usize = 1024;
@@ -85,13 +85,25 @@ impl TwistSums {
 
     /// The least-squares twist; where particles on a line or point leave it undetermined the shortest, by a ridge.
     pub fn twist(&self) -> Twist<f64> {
-        let x = cholesky(self.normal, self.right, RIDGE);
+        let x = self.solution();
         Twist { v: [x[0], x[1], x[2]], w: [x[3], x[4], x[5]] }
+    }
+
+    /// `v` and `w`. Lengths are measured in distances of the particles from the origin, so that the ridge does not depend on the unit.
+    fn solution(&self) -> [f64; 6] {
+        let distance = (self.normal[3][3].max(self.normal[4][4]).max(self.normal[5][5]) / self.weight).sqrt();
+        let unit = if distance > 0.0 { 1.0 / distance } else { 1.0 };
+        let unit = |i: usize| if i < 3 { 1.0 } else { unit };
+        let normal: [[f64; 6]; 6] =
+            std::array::from_fn(|i| std::array::from_fn(|j| unit(i) * unit(j) * self.normal[i][j]));
+        let right: [f64; 6] = std::array::from_fn(|i| unit(i) * self.right[i]);
+        let x = cholesky(normal, right, RIDGE);
+        std::array::from_fn(|i| unit(i) * x[i])
     }
 
     /// `R` of the module header: the weighted squared residual of [`TwistSums::twist`].
     pub fn residual(&self) -> f64 {
-        let x = cholesky(self.normal, self.right, RIDGE);
+        let x = self.solution();
         let quadratic: f64 = (0..6).map(|i| x[i] * (0..6).map(|j| self.normal[i][j] * x[j]).sum::<f64>()).sum();
         let linear: f64 = (0..6).map(|i| x[i] * self.right[i]).sum();
         (self.square - 2.0 * linear + quadratic).max(0.0)
@@ -297,5 +309,25 @@ mod tests {
         point.add(2.0, DVec3::X, DVec3::Y);
         assert!(point.residual() < 1e-12 && point.twist().v.iter().all(|v| v.is_finite()));
         assert_eq!(TwistSums::default().residual(), 0.0);
+    }
+
+    /// Particles on a line, in metres and in micrometres: the turn about the line is undetermined, all else is the same.
+    #[test]
+    fn the_unit_of_length_does_not_matter() {
+        let (v, w) = (DVec3::new(0.3, -1.0, 0.5), DVec3::new(0.0, 2.0, -4.0));
+        let in_units = |unit: f64| {
+            let mut sums = TwistSums::default();
+            for i in 0..20 {
+                let x = DVec3::X * (0.2 + 0.1 * f64::from(i));
+                sums.add(1.0, unit * x, unit * (v + w.cross(x)));
+            }
+            let twist = sums.twist();
+            (DVec3::from_array(twist.v) / unit, DVec3::from_array(twist.w), sums.residual() / (unit * unit))
+        };
+        for unit in [1e-6, 1.0, 1e6] {
+            let (found, turn, residual) = in_units(unit);
+            assert!((found - v).length() < 1e-6 && (turn - w).length() < 1e-6, "unit {unit}: {found} {turn}");
+            assert!(residual < 1e-6, "unit {unit}: {residual}");
+        }
     }
 }
