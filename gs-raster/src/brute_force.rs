@@ -8,7 +8,7 @@ use crate::measure::{camera, scene};
 use crate::options::{Limits, RasterOptions};
 use crate::rows::Row;
 use crate::tiles::LOG2_SCALE;
-use crate::workspace::Workspace;
+use crate::workspace::{Chunk, MaxEntries, Workspace};
 use fearless_simd::{f32x16, mask32x16, prelude::*};
 use gs_core::{Kernel, Rng, Splats};
 
@@ -140,4 +140,50 @@ fn neutral_kernels_are_the_gaussian_to_the_bit() {
     }
     let kernel = Kernel::Acutance { acutances: vec![0.0; plain.len()] };
     assert!(bits(PiecewiseLinear::new(&kernel, plain.len(), 9.0, &mut Vec::new()), &plain, &options) == want);
+}
+
+/// Above half its height a sharp kernel reaches further than the Gaussian.
+#[test]
+fn a_high_threshold_loses_no_pixel_of_a_sharp_kernel() {
+    let (camera, options) = (camera(50), RasterOptions { min_alpha: 0.9, ..RasterOptions::default() });
+    let mut splats = scene(1, 0);
+    splats.kernel = Kernel::Acutance { acutances: vec![0.9] };
+    (splats.quats[0], splats.opacities[0]) = ([1.0, 0.0, 0.0, 0.0], 0.99);
+    let (depth, sigma) = (4.0, 100.0);
+    splats.scales[0] = glam::Vec3::splat((sigma * depth / camera.fx) as f32);
+    let mut seen = 0;
+    for off in (0..160).step_by(10) {
+        let at = glam::DVec3::new((-f64::from(off) - camera.cx) / camera.fx * depth, 0.0, depth);
+        splats.means[0] = (camera.rotation.transpose() * (at - camera.translation)).as_vec3();
+        let mut consts = Vec::new();
+        let kernel = PiecewiseLinear::new(&splats.kernel, 1, options.kernel_cut, &mut consts);
+        let want = bits(UnboundedSupport(kernel), &splats, &options);
+        assert!(bits(kernel, &splats, &options) == want, "{off} pixels beyond the border: a pixel is lost");
+        seen += usize::from(want.iter().any(|v| *v != 0) && off > 50);
+    }
+    assert!(seen > 2, "{seen} are seen further off than the Gaussian's reach");
+}
+
+/// Splats that fill the screen are listed in as many chunks as their memory asks for, and the picture is the same.
+#[test]
+fn a_chunk_of_too_many_entries_is_cut() {
+    let mut splats = scene(3000, 0);
+    splats.opacities.fill(0.02);
+    splats.scales.iter_mut().for_each(|s| *s *= 30.0);
+    let (camera, options) = (camera(96), RasterOptions::default());
+    let render = |most: Option<usize>| {
+        let (mut workspace, mut frame) = (Workspace::new(), Frame::default());
+        if let Some(most) = most {
+            workspace.max_entries = MaxEntries(most);
+        }
+        crate::render_into(&splats, &camera, &options, &mut workspace, &mut frame);
+        let of_chunk = |c: &Chunk| (c.entries.len(), c.projected.len());
+        (frame, workspace.chunks[..workspace.chunk_count].iter().map(of_chunk).collect::<Vec<_>>())
+    };
+    let (whole, few) = render(None);
+    for most in [20_000, 3000, 1] {
+        let (cut, many) = render(Some(most));
+        assert!(cut == whole && many.len() > few.len(), "{most}: {} chunks", many.len());
+        assert!(many.iter().all(|(entries, splats)| *entries <= most || *splats == 1), "{most}: {many:?}");
+    }
 }

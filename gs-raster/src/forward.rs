@@ -1,6 +1,6 @@
 //! A frame: depth order, then chunks of splats front to back, each binned to the tiles that are still open and blended.
 //!
-//! Chunks grow geometrically. A tile whose pixels are all closed takes no further entries, so splats hidden behind it
+//! Chunks grow geometrically, and one of splats that meet very many tiles is cut. A tile whose pixels are all closed takes no further entries, so splats hidden behind it
 //! cost neither binning nor colour. The image is bit for bit the one of full lists.
 
 use crate::blend::blend;
@@ -16,7 +16,7 @@ use crate::workspace::{Bin, Chunk, Entry, TileState, Workspace};
 use fearless_simd::{Level, dispatch, prelude::*};
 use gs_core::{Camera, Color, SplatsRef};
 use rayon::prelude::*;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 
 /// Splats per task when depth keys are computed.
 const KEY_BLOCK: usize = 4096;
@@ -179,7 +179,7 @@ fn render_chunks<K: KernelProfile>(kernel: K, splats: SplatsRef<'_>, options: &R
     while first < w.keys.len() && w.open.any() {
         let end = w.keys.len().min(first + size);
         // A short remainder joins this chunk.
-        let end = if w.keys.len() - end < size / 2 { w.keys.len() } else { end };
+        let mut end = if w.keys.len() - end < size / 2 { w.keys.len() } else { end };
         if w.chunks.len() == w.chunk_count {
             w.chunks.push(Chunk::default());
         }
@@ -187,7 +187,10 @@ fn render_chunks<K: KernelProfile>(kernel: K, splats: SplatsRef<'_>, options: &R
         w.chunk_count += 1;
         chunk.first = first;
         let scene = Scene { kernel, splats, options, view: &view, limits, grid: &w.grid, open: &w.open, max_distance };
-        bin_chunk(&scene, &w.keys[first..end], &mut w.bins, chunk);
+        while !bin_chunk(&scene, &w.keys[first..end], w.max_entries.0, &mut w.bins, chunk) {
+            size = (end - first).div_ceil(2);
+            end = first + size;
+        }
         blend_chunk(kernel, level, limits, &w.grid, chunk, &mut w.tiles);
         w.open.update(&w.grid, w.tiles.iter().map(TileState::is_open));
         first = end;
@@ -260,8 +263,15 @@ fn color(splats: SplatsRef<'_>, view: &View, index: u32) -> [f32; 3] {
     }
 }
 
-/// Projects the splats of a chunk, and lists for each open tile, in depth order, those that touch it.
-fn bin_chunk<K: KernelProfile>(scene: &Scene<K>, keys: &[Key], bins: &mut Vec<Bin>, chunk: &mut Chunk) {
+/// Projects the splats of a chunk, and lists for each open tile, in depth order, those that touch it. False if several splats
+/// have more than `most` entries.
+fn bin_chunk<K: KernelProfile>(
+    scene: &Scene<K>,
+    keys: &[Key],
+    most: usize,
+    bins: &mut Vec<Bin>,
+    chunk: &mut Chunk,
+) -> bool {
     let size = keys.len().div_ceil(MAX_BIN_TASKS).max(MIN_BIN_SPLATS);
     let count = keys.len().div_ceil(size);
     if bins.len() < count {
@@ -279,11 +289,32 @@ fn bin_chunk<K: KernelProfile>(scene: &Scene<K>, keys: &[Key], bins: &mut Vec<Bi
         chunk.splat_starts[1..].par_chunks_mut(size),
     );
     let level = simd::level(scene.options.simd);
+    let budget = Budget { most: if keys.len() > 1 { most } else { usize::MAX }, entries: AtomicUsize::new(0) };
     work.into_par_iter().for_each(|(bin, keys, projected, counts)| {
-        dispatch!(level, simd => bin_block(simd, scene, keys, bin, projected, counts));
+        dispatch!(level, simd => bin_block(simd, scene, keys, &budget, bin, projected, counts));
     });
+    if !budget.holds(0) {
+        return false;
+    }
     assign_offsets(scene.grid.tiles(), bins, chunk);
     fill_lists(size, bins, chunk);
+    true
+}
+
+/// Entries of a chunk, counted by all its tasks: whether there are too many does not depend on their order.
+struct Budget {
+    most: usize,
+    entries: AtomicUsize,
+}
+
+/// Entries that a task counts for itself first.
+const COUNTED_AT_ONCE: usize = 4096;
+
+impl Budget {
+    /// Adds entries; whether there are still not too many.
+    fn holds(&self, more: usize) -> bool {
+        self.entries.fetch_add(more, Ordering::Relaxed) + more <= self.most
+    }
 }
 
 /// Projects a block of splats, lists the open tiles each touches, and evaluates the colour of those that touch any.
@@ -292,16 +323,24 @@ fn bin_block<S: Simd, K: KernelProfile>(
     simd: S,
     scene: &Scene<K>,
     keys: &[Key],
+    budget: &Budget,
     bin: &mut Bin,
     projected: &mut [ProjectedSplat],
     counts: &mut [u32],
 ) {
     let Bin { tiles, offsets, reaching } = bin;
+    let mut counted = 0;
     tiles.clear();
     offsets.clear();
     offsets.resize(scene.grid.tiles(), 0);
     scene.reaching(simd, keys, reaching);
     for eight in reaching.chunks(LANES) {
+        if tiles.len() - counted >= COUNTED_AT_ONCE {
+            if !budget.holds(tiles.len() - counted) {
+                return;
+            }
+            counted = tiles.len();
+        }
         let mut rows = [0; LANES];
         for (l, row) in rows.iter_mut().enumerate() {
             *row = keys[eight[l.min(eight.len() - 1)] as usize].index as usize;
@@ -324,6 +363,7 @@ fn bin_block<S: Simd, K: KernelProfile>(
             }
         }
     }
+    budget.holds(tiles.len() - counted);
 }
 
 /// Turns counts into offsets by prefix sums: tile-major, within a tile in depth order.

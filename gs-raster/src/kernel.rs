@@ -238,8 +238,10 @@ impl KernelProfile for PiecewiseLinear<'_> {
     #[inline(always)]
     fn max_distance(self, index: u32, gaussian: f64, log2_min_alpha: f64) -> f64 {
         match self.kernel.bend(index as usize) {
-            // A sharp kernel ends before the Gaussian does.
-            Some(bend) if bend.u < 0.0 => self.support(index, 0.0, log2_min_alpha).max(0.0).sqrt() / LOG2_SCALE,
+            // A blunt kernel ends behind the Gaussian, above half its height a sharp one.
+            Some(bend) if bend.u < 0.0 || log2_min_alpha > -1.0 => {
+                self.support(index, 0.0, log2_min_alpha).max(0.0).sqrt() / LOG2_SCALE
+            }
             _ => gaussian,
         }
     }

@@ -125,14 +125,21 @@ impl RasterOptions {
         need(most > 0.0 && most < 1.0, "max_alpha", most, "above 0 and below 1")?;
         need((MIN_ALPHA..=most).contains(&least), "min_alpha", least, "from 1e-6 to `max_alpha`")?;
         need((0.0..1.0).contains(&self.stop), "stop", self.stop, "0 or more, below 1")?;
+        // Else the first opaque splat would end a pixel before it counts.
+        let opaque = 1.0 - most as f32;
+        need(opaque > self.stop.max(MIN_STOP) as f32, "max_alpha", most, "below 1 − `stop`")?;
         need(self.dilation >= 0.0 && self.dilation.is_finite(), "dilation", self.dilation, "0 or more, finite")?;
-        need(self.kernel_cut > 0.0, "kernel_cut", self.kernel_cut, "above 0")?;
+        need(self.kernel_cut > 0.0 && self.kernel_cut.is_finite(), "kernel_cut", self.kernel_cut, "above 0, finite")?;
         need(self.box_sigmas > 0.0, "box_sigmas", self.box_sigmas, "above 0")
     }
 }
 
 /// Smallest threshold of alpha: below it the extent of a splat is more than five standard deviations.
 const MIN_ALPHA: f64 = 1e-6;
+
+/// Smallest threshold of transmittance: below it a transmittance in `f32` soon has too few digits for the backward pass to undo a
+/// product.
+pub(crate) const MIN_STOP: f64 = 1e-30;
 
 /// Thresholds of the blend, rounded to `f32`; see [`RasterOptions`].
 #[derive(Clone, Copy, Debug)]
@@ -153,7 +160,7 @@ impl Limits {
             min_alpha: min_alpha as f32,
             log2_min_alpha: min_alpha.log2() as f32,
             max_alpha: options.max_alpha as f32,
-            stop: options.stop as f32,
+            stop: options.stop.max(MIN_STOP) as f32,
             pass_through: options.clamp_grad == ClampGrad::PassThrough,
         }
     }

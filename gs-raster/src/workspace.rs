@@ -151,6 +151,18 @@ pub struct Workspace {
     pub(crate) records: Vec<Record>,
     /// Constants of the kernel profile, per row of the caller; empty for the Gaussian.
     pub(crate) kernel_consts: Vec<ProfileConsts>,
+    /// Most entries of a chunk, of several splats.
+    pub(crate) max_entries: MaxEntries,
+}
+
+/// Bounds the memory of splats that fill the screen: a chunk of more entries is cut.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct MaxEntries(pub usize);
+
+impl Default for MaxEntries {
+    fn default() -> Self {
+        Self(1 << 25)
+    }
 }
 
 impl Workspace {

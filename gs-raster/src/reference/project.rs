@@ -97,6 +97,9 @@ fn steps<T: Scalar>(scene: &Scene<T>, i: usize, camera: &Camera, options: &Raste
     let cross = gs_core::real::cross3(factor[0], factor[1]);
     let det0 = dot(cross, cross);
     let det = det0 + dilation * (xx0 + yy0) + dilation * dilation;
+    if !(det.to_f64() > 0.0 && det.to_f64().is_finite()) {
+        return None;
+    }
     let floor = MIN_COMPENSATION.powi(2);
     let compensation = if options.antialias { (det0 / det).max(lit(floor)).sqrt() } else { lit(1.0) };
     let projected = Projected {

@@ -284,3 +284,45 @@ fn a_warm_workspace_gives_the_same_frame_for_any_history() {
         assert_eq!(bits(&frame), bits(&render_new(&case.splats, &case.camera, &options)), "scene {seed}");
     }
 }
+
+/// The gradient of a colour is the share that its splat has in the pixel, behind however many others the transmittance went to nothing.
+#[test]
+fn without_an_early_stop_the_backward_pass_still_knows_the_front() {
+    let options = RasterOptions { stop: 0.0, ..Default::default() };
+    for (n, opacity) in [(60, 0.9f32), (90, 0.8), (300, 0.4), (400, 0.3)] {
+        let depths: Vec<f32> = (0..n).map(|k| 1.0 + 0.01 * k as f32).collect();
+        let splats = stack(&depths, 1e4, &vec![opacity; n], &vec![[1.0; 3]; n]);
+        let camera = camera(1, 1);
+        let mut workspace = Workspace::new();
+        let frame = render(&splats, &camera, &options, &mut workspace);
+        assert!(frame.alpha[0] > 0.999_99);
+        let d = FrameGrad { rgb: vec![1.0; 3], ..FrameGrad::default() };
+        let (grad, _) = render_backward(&splats, &camera, &options, &mut workspace, &d);
+        let first = grad.color[0];
+        assert!((first - opacity).abs() < 2e-3 * opacity, "{n} of {opacity}: {first}");
+    }
+}
+
+#[test]
+fn options_with_which_opaque_splats_vanish_are_refused() {
+    let refused = |options: RasterOptions| options.check().expect_err("out of its domain").field;
+    assert_eq!(refused(RasterOptions { max_alpha: 0.999_99, ..Default::default() }), "max_alpha");
+    assert_eq!(refused(RasterOptions { max_alpha: 1.0 - 1e-12, stop: 0.0, ..Default::default() }), "max_alpha");
+    assert_eq!(refused(RasterOptions { kernel_cut: f64::INFINITY, ..Default::default() }), "kernel_cut");
+    assert!(RasterOptions { max_alpha: 0.999, ..Default::default() }.check().is_ok());
+}
+
+/// Without dilation a point has no area on the screen: neither path shows it.
+#[test]
+fn a_splat_without_area_is_not_shown() {
+    let options = RasterOptions { dilation: 0.0, ..Default::default() };
+    let mut splats = stack(&[2.0, 3.0], 0.1, &[0.8, 0.8], &[[1.0; 3], [0.5; 3]]);
+    splats.scales[0] = Vec3::ZERO;
+    let camera = camera(24, 24);
+    let production = render_new(&splats, &camera, &options);
+    let exact = reference(&Scene::<f64>::new(&splats), &camera, &options, Cutoff::Hard);
+    assert!(production.rgb.data.iter().any(|v| *v > 0.3));
+    for (a, b) in production.rgb.data.iter().zip(exact.rgb.as_flattened()) {
+        assert!((f64::from(*a) - b).abs() < 2e-5, "{a} {b}");
+    }
+}
