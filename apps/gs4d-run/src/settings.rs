@@ -164,12 +164,12 @@ pub fn with_preset(registry: &Registry, method: &str, preset: &str) -> Result<Co
 /// Unknown method, preset or setting; a value of the wrong kind or outside its domain; an unreadable file.
 pub fn resolve(registry: &Registry, request: &Request) -> Result<Resolved, RunError> {
     let mut config = with_preset(registry, &request.method, &request.preset)?;
-    let recipe = total(&config);
+    let recipe = longest_clock(&config);
     if let Some(path) = &request.file {
         let text = read_text(path, &Limits::default())?;
         config.overlay_toml(&text, &Source::File(path.display().to_string()))?;
     }
-    let filed = total(&config);
+    let filed = longest_clock(&config);
     let flag = |text: String| Source::Flag(text);
     config.put("run.method", request.method.as_str(), flag(format!("-m {}", request.method)))?;
     config.put("run.preset", request.preset.as_str(), flag(format!("--preset {}", request.preset)))?;
@@ -360,24 +360,43 @@ impl Resolved {
     }
 }
 
-/// Keys and steps of the stages, in the order they are followed.
-fn stages(config: &Config) -> Vec<(String, u64)> {
+/// A stage: the key of its steps, their number, and whether its clock is its own.
+struct StageSteps {
+    key: String,
+    steps: u64,
+    own_clock: bool,
+}
+
+/// The stages, in the order they are followed.
+fn stages(config: &Config) -> Vec<StageSteps> {
     let number = |key: &str| config.get(key).and_then(|s| s.value.as_integer()).and_then(|v| u64::try_from(v).ok());
-    let mut stages: Vec<(u64, String, u64)> = config
+    let is = |key: &str| config.get(key).is_some_and(|s| s.value.as_bool() == Some(true));
+    let mut stages: Vec<(u64, StageSteps)> = config
         .iter()
         .filter_map(|(key, _)| {
             let name = key.strip_prefix(STAGES)?.strip_suffix(".steps")?;
             let order = number(&format!("{STAGES}{name}.order")).unwrap_or(0);
-            Some((order, key.to_owned(), number(key).unwrap_or(0)))
+            let (steps, own_clock) = (number(key).unwrap_or(0), is(&format!("{STAGES}{name}.own_clock")));
+            Some((order, StageSteps { key: key.to_owned(), steps, own_clock }))
         })
         .collect();
-    stages.sort();
-    stages.into_iter().map(|(_, key, steps)| (key, steps)).collect()
+    stages.sort_by(|a, b| (a.0, &a.1.key).cmp(&(b.0, &b.1.key)));
+    stages.into_iter().map(|(_, stage)| stage).collect()
 }
 
 /// Steps of all stages.
 fn total(config: &Config) -> u64 {
-    stages(config).iter().map(|s| s.1).sum()
+    stages(config).iter().map(|s| s.steps).sum()
+}
+
+/// Steps of the longest clock: of consecutive stages of which the first alone may have a clock of its own.
+fn longest_clock(config: &Config) -> u64 {
+    let (mut longest, mut clock) = (0, 0);
+    for stage in stages(config) {
+        clock = if stage.own_clock { stage.steps } else { clock + stage.steps };
+        longest = longest.max(clock);
+    }
+    longest
 }
 
 /// A number of steps of a run of `before` steps, in one of `after`.
@@ -390,13 +409,13 @@ fn scaled(steps: u64, before: u64, after: u64) -> i64 {
 fn stretch(config: &mut Config, total: u32) -> Result<(), RunError> {
     let source = Source::Flag(format!("--steps {total}"));
     let stages = stages(config);
-    let before: u64 = stages.iter().map(|s| s.1).sum();
+    let before: u64 = stages.iter().map(|s| s.steps).sum();
     if total == 0 || before == 0 {
         return Err(RunError::Steps("--steps must be at least 1, and the recipe must have steps".into()));
     }
     // Borders of stages are rounded, so that the stages add up exactly.
     let (mut border, mut done) = (0u64, 0i64);
-    for (key, steps) in &stages {
+    for StageSteps { key, steps, .. } in &stages {
         border += steps;
         let end = scaled(border, before, total.into());
         config.put(key, end - done, source.clone())?;
@@ -405,9 +424,9 @@ fn stretch(config: &mut Config, total: u32) -> Result<(), RunError> {
     Ok(())
 }
 
-/// Scales what the preset says for a run of `recipe` steps, and a file for one of `filed`, to the length the run has now.
+/// Scales what the preset says for a clock of `recipe` steps, and a file for one of `filed`, to the length the clock has now.
 fn scale_settings(config: &mut Config, domains: &[Domain], recipe: u64, filed: u64) -> Result<(), RunError> {
-    let after = total(config);
+    let after = longest_clock(config);
     let changed: Vec<(String, Value, Source)> = config
         .iter()
         .filter_map(|(key, s)| {
@@ -425,7 +444,7 @@ fn scale_settings(config: &mut Config, domains: &[Domain], recipe: u64, filed: u
     changed.into_iter().try_for_each(|(key, value, said)| Ok(config.put(&key, value, said)?))
 }
 
-/// A setting of a run of `before` steps, in one of `after`; `None` where it does not change.
+/// A setting of a clock of `before` steps, in one of `after`; `None` where it does not change.
 fn rescaled(scaling: Scaling, value: &Value, before: u64, after: u64) -> Option<Value> {
     match scaling {
         Scaling::Fixed => None,

@@ -1,7 +1,7 @@
 //! A run that gets another length while steps of it are made: only its last stage changes, and shares of the run name the steps
 //! that they named, so the steps already made stay valid.
 
-use super::{Resolved, stages};
+use super::{Resolved, StageSteps, stages};
 use crate::RunError;
 use crate::config::{Config, Source};
 
@@ -56,11 +56,11 @@ fn kept_shares(config: &Config, last: &str, run: Change, stage: Change) -> Vec<(
 /// # Errors
 /// If `done` steps were made already and more than `total`, or the last stage would begin after `total`.
 pub fn lengthen(resolved: &Resolved, total: u32, done: u32) -> Result<Resolved, RunError> {
-    let stages: Vec<(String, u64)> = stages(&resolved.config).into_iter().filter(|s| s.1 > 0).collect();
-    let Some(((last, was), earlier)) = stages.split_last() else {
+    let stages: Vec<StageSteps> = stages(&resolved.config).into_iter().filter(|s| s.steps > 0).collect();
+    let Some((StageSteps { key: last, steps: was, .. }, earlier)) = stages.split_last() else {
         return Err(RunError::Steps("the recipe has no steps".into()));
     };
-    let before: u64 = earlier.iter().map(|s| s.1).sum();
+    let before: u64 = earlier.iter().map(|s| s.steps).sum();
     if total < done || u64::from(total) <= before {
         let least = u64::from(done).max(before + 1);
         return Err(RunError::Steps(format!(
@@ -107,7 +107,7 @@ mod tests {
     fn of_method(method: &str, sets: &[&str]) -> (Resolved, u32, f64) {
         let request = Request { method: method.into(), ..request(sets) };
         let resolved = resolve(gs_methods::registry(), &request).unwrap();
-        let (steps, last) = (resolved.steps(), stages(&resolved.config).last().unwrap().1);
+        let (steps, last) = (resolved.steps(), stages(&resolved.config).last().unwrap().steps);
         assert!(last < steps, "{method} has stages");
         (resolved, u32::try_from(steps).unwrap(), last as f64)
     }

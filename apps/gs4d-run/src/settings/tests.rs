@@ -103,6 +103,21 @@ fn lengths_are_shares_of_the_run_unless_they_are_set() {
     assert!(of(until).source.to_string().ends_with("50 of 100 steps"), "{}", of(until).source);
 }
 
+/// The coarse stage of 4DGS and the stage that follows count their own steps.
+#[test]
+fn lengths_are_shares_of_the_clock_that_they_are_counted_on() {
+    let of = |coarse: u32| {
+        let sets = vec![format!("schedule.stages.coarse.steps={coarse}")];
+        let request = Request { method: "fourdgs".into(), preset: "paper".into(), sets, ..Request::default() };
+        let resolved = resolve(gs_methods::registry(), &request).unwrap();
+        ["schedule.lr.cloud.means.steps", "schedule.density.until"]
+            .map(|key| resolved.config.get(key).unwrap().value.as_integer().unwrap())
+    };
+    for coarse in [0, 3000, 10_000] {
+        assert_eq!(of(coarse), [20_000, 15_000], "{coarse} steps before a clock of its own");
+    }
+}
+
 #[test]
 fn rates_of_the_kernel_rise_in_shorter_runs_unless_they_are_set() {
     let rate = |steps, sets: &[&str]| {
