@@ -83,6 +83,13 @@ pub(crate) struct RefusedRows {
     pub first: Option<u32>,
 }
 
+impl RefusedRows {
+    /// These and those of later rows of the same block.
+    pub(crate) fn and(self, later: &Self) -> Self {
+        Self { rows: self.rows + later.rows, first: self.first.or(later.first) }
+    }
+}
+
 /// The optimiser: constants, and the number of updates each block has had.
 #[derive(Clone, Debug)]
 pub struct Adam {
@@ -250,7 +257,7 @@ impl Piece<'_> {
         for (r, at) in (0..self.grad.len()).step_by(width).enumerate() {
             let row = at..(at + width).min(self.grad.len());
             let grad = &mut self.grad[row.clone()];
-            if !grad.iter().all(|g| g.is_finite()) {
+            if !grad.iter().all(|g| (g * g).is_finite()) {
                 count += 1;
                 first = first.or(Some(r as u32));
             } else if !(sparse && grad.iter().all(|&g| g == 0.0)) {
@@ -266,17 +273,17 @@ fn all_finite(level: Level, grad: &[f32]) -> bool {
     dispatch!(level, simd => all_finite_in(simd, grad))
 }
 
-/// `g · 0` is NaN exactly where `g` is not finite; the sum keeps it.
+/// `g² · 0` is NaN exactly where `g²` is not finite; the sum keeps it. A second moment would keep the square for ever.
 #[inline(always)]
 fn all_finite_in<S: Simd>(_simd: S, grad: &[f32]) -> bool {
     let mut lanes = [0.0f32; 16];
     let (chunks, tail) = grad.as_chunks::<16>();
     for chunk in chunks {
         for (l, g) in lanes.iter_mut().zip(chunk) {
-            *l += g * 0.0;
+            *l += g * g * 0.0;
         }
     }
-    lanes.iter().chain(tail).all(|v| v.is_finite())
+    lanes.iter().chain(tail).all(|v| (v * v).is_finite())
 }
 
 #[inline(always)]
@@ -418,6 +425,12 @@ mod tests {
         assert_eq!((&decayed.moment1, &decayed.moment2), (&plain.moment1, &plain.moment2));
     }
 
+    #[test]
+    fn rows_refused_by_several_ranks_are_summed() {
+        let of = |rows, first| RefusedRows { rows, first };
+        assert_eq!(of(0, None).and(&of(1, Some(7))).and(&of(2, Some(700))), of(3, Some(7)));
+    }
+
     fn rows() -> Param {
         let mut p = Param::rows("r", 2, vec![1.0; 8]);
         p.grad = vec![1.0, 1.0, f32::NAN, 1.0, 0.0, 0.0, 1.0, f32::INFINITY];
@@ -442,6 +455,15 @@ mod tests {
         let mut refused = Refused::default();
         Adam::default().update(&mut p, every(0.1), &mut refused);
         assert_eq!((refused.shared, p.value), (Some("w".into()), vec![1.0; 3]));
+        // The square of a finite gradient may be infinite, and a second moment would keep it.
+        for large in [1e20, -1e20] {
+            let (mut p, mut refused) = (rows(), Refused::default());
+            p.grad = vec![1e-3; p.len()];
+            p.grad[2] = large;
+            Adam::default().update(&mut p, every(0.1), &mut refused);
+            assert_eq!((refused.rows, p.moment2[2]), (1, 0.0));
+            assert!(p.moment2.iter().all(|v| v.is_finite()) && p.moment2.iter().any(|v| *v > 0.0));
+        }
     }
 
     #[test]

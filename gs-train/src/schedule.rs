@@ -183,10 +183,10 @@ impl Schedule {
         stages.get(at).map(|s| (s.1, step - 1 - before))
     }
 
-    /// Whether the stage after that of step `step` does not draw all views from its first step on.
-    pub(crate) fn next_is_narrower(&self, step: u32) -> bool {
-        let next = self.position(step).stage + 1;
-        self.ordered().get(next).is_some_and(|(_, next)| next.first_moment || next.window(0).is_some())
+    /// Whether a stage after that of step `step` does not draw all views from its first step on.
+    pub(crate) fn later_is_narrower(&self, step: u32) -> bool {
+        let later = self.position(step).stage + 1;
+        self.ordered().iter().skip(later).any(|(_, stage)| stage.first_moment || stage.window(0).is_some())
     }
 
     /// The length of the shortest run of these stages, each with its share of it, in which every one of `views` is drawn.

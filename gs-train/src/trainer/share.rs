@@ -122,7 +122,8 @@ impl Trainer {
         let (mut refused, mut block) = (Refused::default(), 0);
         self.model.visit(&mut |p: &Param| {
             if learns(&p.name) {
-                received.iter().filter_map(|rank| rank.get(block)).for_each(|rows| refused.add(p, rows));
+                let of_ranks = received.iter().filter_map(|rank| rank.get(block));
+                refused.add(p, &of_ranks.fold(RefusedRows::default(), |all, rows| all.and(rows)));
                 block += 1;
             }
         });

@@ -129,7 +129,7 @@ impl ViewOrder {
             let latest = self.sorted[self.views_until(to).max(1) - 1];
             Pool { newest: (stage.window_newest, latest.min(before)), ..up_to(to, grows.min(end)) }
         } else {
-            up_to(last, if schedule.next_is_narrower(step) { end } else { u32::MAX })
+            up_to(last, if schedule.later_is_narrower(step) { end } else { u32::MAX })
         }
     }
 
@@ -249,6 +249,16 @@ mod tests {
         let schedule = schedule(|s| s.stages = stages.clone().map(|(name, stage)| (name.to_owned(), stage)).into());
         let order = order();
         assert!((41..=45).all(|draw| order.view(&schedule, draw) < 4), "the first of six parts");
+    }
+
+    #[test]
+    fn a_pool_of_all_views_does_not_outlast_a_short_stage_before_a_window() {
+        let plain = |order, steps| Stage { order, steps, ..Stage::default() };
+        let window = Stage { window_parts: 6, window_until: 0.5, ..plain(2, 60) };
+        let stages = [("a", plain(0, 10)), ("b", plain(1, 5)), ("c", window)];
+        let schedule = schedule(|s| s.stages = stages.clone().map(|(name, stage)| (name.to_owned(), stage)).into());
+        let order = order();
+        assert!((16..=21).all(|draw| order.view(&schedule, draw) < 4), "the first of six parts");
     }
 
     /// A step draws its own views and those of the next, so pools are drawn from in turn.

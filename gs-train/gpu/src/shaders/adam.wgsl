@@ -49,11 +49,11 @@ fn main(
         return;
     }
     let g = grads[at];
-    if (!is_finite(g)) {
+    if (!is_finite(g * g)) {
         // A row is counted by the first such value in it; rows backwards, so that the largest number is the first row.
         let row = (at - block.start) / block.width;
         for (var k = block.start + row * block.width; k < at; k++) {
-            if (!is_finite(grads[k])) {
+            if (!is_finite(grads[k] * grads[k])) {
                 return;
             }
         }
