@@ -67,6 +67,12 @@ pub struct DensifyRules {
     /// Nothing is pruned where fewer would be left (TRACE's code: 1024).
     #[serde(default)]
     pub min_splats: u32,
+    /// Nothing is pruned up to this many splats (4DGS's code: 200 000).
+    #[serde(default)]
+    pub prune_above: u32,
+    /// Splats are pruned in the first pass after every so many steps (4DGS's code: 8000 or 100); 0: in every pass.
+    #[serde(default)]
+    pub prune_every: u32,
     /// No growth beyond this many splats; the largest gradients go first.
     pub max_splats: u32,
 }
@@ -170,6 +176,8 @@ impl DensifyRules {
             reset_on_white: true,
             at_borders: true,
             min_splats: 0,
+            prune_above: 0,
+            prune_every: 0,
             max_splats: 1_000_000,
         }
     }
@@ -299,10 +307,13 @@ impl Densify {
         let n = cloud.len();
         let largest =
             |i: usize| cloud.log_scales.value[3 * i..3 * i + 3].iter().copied().fold(f32::MIN, f32::max).exp();
-        let sizes_live = rules.reset_every > 0 && at.clock > rules.reset_every;
+        let in_turn = rules.prune_every == 0 || at.clock % rules.prune_every < rules.every;
+        let prunes = in_turn && n > rules.prune_above as usize;
+        let sizes_live = prunes && rules.reset_every > 0 && at.clock > rules.reset_every;
         let too_large = |s: f32| sizes_live && rules.max_world > 0.0 && s > rules.max_world * at.extent;
         let on_screen = |i: usize| sizes_live && rules.max_screen > 0.0 && self.max_radius[i] > rules.max_screen;
-        let faint = |i: usize| self.seen[i] > 0.0 && sigmoid(cloud.logit_opacities.value[i]) < rules.min_opacity;
+        let faint =
+            |i: usize| prunes && self.seen[i] > 0.0 && sigmoid(cloud.logit_opacities.value[i]) < rules.min_opacity;
         let grows = self.growing(rules, n);
         let mut plan = Plan::default();
         let mut clones = Vec::new();
@@ -488,6 +499,23 @@ mod tests {
         };
         assert_eq!((run(1.2, 0), run(0.0, 0)), ((2, 2), (1, 3)));
         assert_eq!((run(1.2, 2), run(1.2, 3)), ((2, 2), (0, 4)));
+    }
+
+    /// 4DGS prunes only clouds of some size, and seldom.
+    #[test]
+    fn pruning_has_a_turn_and_a_least_size_of_its_own() {
+        let run = |clock, prune_above, prune_every| {
+            let mut c = cloud(&[0.001; 4]);
+            c.logit_opacities.value[0] = logit(0.001);
+            let mut d = Densify::new(4);
+            d.accumulate(&ScreenStats { grad_means2d: vec![[0.0; 2]; 4], radii: vec![1.2; 4] }, 64, 64);
+            let rules = DensifyRules { prune_above, prune_every, every: 100, ..DensifyRules::kerbl2023() };
+            d.densify(&rules, &DensifyContext { clock, ..AT }, &mut c).unwrap().pruned
+        };
+        assert_eq!([0, 3, 4].map(|above| run(600, above, 0)), [1, 1, 0]);
+        assert_eq!([700, 800, 900, 1600].map(|clock| run(clock, 0, 800)), [0, 1, 0, 1]);
+        // A turn that is no multiple of the passes comes with the pass after it.
+        assert_eq!([700, 800, 1500, 1600].map(|clock| run(clock, 0, 750)), [0, 1, 1, 0]);
     }
 
     #[test]

@@ -107,6 +107,8 @@ pub const SHARED: &[Domain] = &[
     within("density.min_opacity", 0.0, 1.0),
     length("density.reset_every", 0.0),
     within("density.min_splats", 0.0, (1u64 << 26) as f64),
+    within("density.prune_above", 0.0, (1u64 << 26) as f64),
+    length("density.prune_every", 0.0),
     within("density.reset_opacity", 0.0, 1.0),
     within("density.split_factor", 1.0, 1e3),
     length("density.until", 0.0),
