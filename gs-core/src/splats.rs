@@ -335,6 +335,15 @@ impl SplatsGrad {
         std::mem::swap(&mut self.scales, &mut other.scales);
     }
 
+    /// Adds `factor` times the cotangents of means, quaternions and scales of `from`, which has as many rows.
+    pub fn add_geometry(&mut self, factor: f32, from: &Geometry) {
+        debug_assert_eq!(from.len(), self.means.len());
+        self.means.iter_mut().zip(&from.means).for_each(|(to, from)| *to += factor * *from);
+        self.scales.iter_mut().zip(&from.scales).for_each(|(to, from)| *to += factor * *from);
+        let quats = self.quats.as_flattened_mut().iter_mut().zip(from.quats.as_flattened());
+        quats.for_each(|(to, from)| *to += factor * from);
+    }
+
     /// Column and row of the first non-finite entry, if any; columns in the order of the fields.
     pub fn first_non_finite(&self) -> Option<(&'static str, usize)> {
         let width = |column: &[f32]| (column.len() / self.means.len().max(1)).max(1);

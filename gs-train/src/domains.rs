@@ -123,6 +123,7 @@ pub const SHARED: &[Domain] = &[
     within("still.from", 0.0, 1.0),
     within("still.pixels", 0.0, 1e3),
     within("still.probes", 2.0, 1024.0),
+    within("still.pull", 0.0, 1e6),
     within("still.shape", 0.0, 1e3),
     within("still.turn", 1.0, 1e6),
     within("still.until", 0.0, 1.0),

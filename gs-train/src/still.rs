@@ -9,6 +9,7 @@
 //! them. What happens at other times is not known.
 
 pub mod decisions;
+mod pull;
 pub mod training;
 
 use crate::capabilities::{FreezeOptions, FreezeReport};

@@ -60,7 +60,7 @@ impl Default for TrainOptions {
 }
 
 /// What one step of training did.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Default, Serialize)]
 pub struct StepReport {
     /// Number of the step, from 1.
     pub step: u32,

@@ -6,10 +6,12 @@
 //! a still splat         is rendered at x + o; its gradient goes straight to x
 //! every `turn` steps    it takes part in the field, which so goes on learning from it, a different part of them in each step
 //! enters again          until the next decision, if mean |screen gradient| > `density.grad` over the views rendered at x + o
+//! pull                  a loss of the motion that the field gives to splats that take part, in units of the tolerances
 //! ```
 //! The first share `from` of a stage and the last share `1 − until` leave out none: the field first learns what moves, and what the
 //! run ends with is the field's. A splat that no view has shown is still only if its centre does not move at all.
 
+use super::pull::Pull;
 use super::{fold, shape_change};
 use crate::densify::screen_gradients;
 use crate::method::{Buffer, BufferMut, Merge};
@@ -38,15 +40,24 @@ pub struct StillConfig {
     pub from: f32,
     /// Share of a stage after which all take part.
     pub until: f32,
+    /// Weight of the mean over splats of how far the field moves them, in units of `pixels` and `shape`; 0: no pull.
+    #[serde(default)]
+    pub pull: f32,
 }
 
 impl StillConfig {
-    /// Fails if splats may be left out, but in no step.
+    /// Fails if splats may be left out, but in no step, or if there is a pull without tolerances.
     ///
     /// # Errors
     /// What is wrong, with the settings to change.
     pub fn check(&self) -> Result<(), String> {
-        let Self { pixels, from, until, .. } = *self;
+        let Self { pixels, shape, from, until, pull, .. } = *self;
+        if pull > 0.0 && (pixels <= 0.0 || shape <= 0.0) {
+            return Err(format!(
+                "still.pull = {pull} counts in units of still.pixels = {pixels} and still.shape = {shape}: make both larger than 0, or \
+                 set still.pull = 0"
+            ));
+        }
         if pixels > 0.0 && from >= until {
             return Err(format!(
                 "still.from = {from} and still.until = {until} leave no step in which a splat may rest: make still.from the smaller \
@@ -135,6 +146,32 @@ impl StillRows {
         out.scatter(&self.moved, rows);
     }
 
+    /// The gradient of the pull with respect to the output of [`Self::forward`], `moved`, for one view of the step, and its value; none
+    /// in steps without a pull.
+    /// ```text
+    /// pull / n · Σ reach ‖Δm‖ / pixels + (‖Δs‖ / max |s| + 2 ‖Δq‖ / ‖q‖) / shape        Δ: what the field adds
+    /// ```
+    pub fn pull(&self, canonical: GeometryRef<'_>, moved: &Geometry, at: &StepCtx) -> Option<(Geometry, f32)> {
+        let StillConfig { pixels, shape, pull, .. } = self.config;
+        if pull <= 0.0 || !self.on() || !self.open(at) {
+            return None;
+        }
+        let weight = pull / (canonical.len().max(1) as f32 * at.batch.max(1) as f32);
+        let (pull, mut to) = (Pull { weight, pixels, shape }, Geometry::zeros(canonical.len()));
+        let mut sum = 0.0;
+        let mut add = |row: usize| {
+            // One that lay behind a view is never still.
+            if self.reach[row] > 0.0 && self.reach[row] < f32::MAX {
+                sum += f64::from(pull.row(row, self.reach[row], canonical, moved, &mut to));
+            }
+        };
+        match &self.rows {
+            Some(rows) => rows.iter().for_each(|row| add(*row as usize)),
+            None => (0..canonical.len()).for_each(&mut add),
+        }
+        Some((to, cast::to_f32(sum)))
+    }
+
     /// The cotangents of all canonical splats, from those of [`Self::forward`]'s output: of the rows that take part through
     /// `field` (canonical, cotangents of its output, cotangents to be added to), of the others straight.
     pub fn backward(
@@ -178,9 +215,9 @@ impl StillRows {
         }
     }
 
-    /// Whether [`Self::decide`] is due at the end of this step.
+    /// Whether [`Self::decide`] is due at the end of this step; not of the first of a stage, which drops decisions.
     pub fn due(&self, at: &StepCtx) -> bool {
-        self.on() && self.open(at) && at.step.is_multiple_of(self.config.every.max(1))
+        self.on() && self.open(at) && at.stage_offset > 0 && at.step.is_multiple_of(self.config.every.max(1))
     }
 
     /// Decides anew which splats are still: `probe` writes what the field makes of all splats at a time. Those left out so far whose
@@ -288,7 +325,16 @@ mod tests {
 
     /// Decided with a tolerance of 1.5 pixels where a world unit is 100 pixels long: rows 0 and 1 are still.
     fn decided() -> StillRows {
-        let config = StillConfig { pixels: 1.5, shape: 0.01, every: 200, turn: 7, probes: 17, from: 0.15, until: 0.95 };
+        let config = StillConfig {
+            pixels: 1.5,
+            shape: 0.01,
+            every: 200,
+            turn: 7,
+            probes: 17,
+            from: 0.15,
+            until: 0.95,
+            pull: 0.0,
+        };
         let mut rows = StillRows::new(config, 4, 1.0);
         rows.reach.fill(100.0);
         let canonical = canonical();
@@ -309,9 +355,14 @@ mod tests {
         assert_eq!(takes_part(StepCtx { stage_offset: 5, ..step(8) }), None, "all at the beginning of a stage");
         assert_eq!(takes_part(StepCtx { stage_offset: 97, ..step(8) }), None, "all at its end");
         assert_eq!(takes_part(StepCtx { deform_only: true, ..step(8) }), None, "all where the cloud rests");
-        rows.config.from = 0.0;
-        rows.begin_step(&StepCtx { stage_offset: 0, ..step(8) });
+        (rows.config.from, rows.config.every) = (0.0, 1);
+        let first = StepCtx { stage_offset: 0, ..step(8) };
+        rows.begin_step(&first);
         assert!(rows.flags().all(|still| !still), "a stage begins with none");
+        assert!(
+            !rows.due(&first) && rows.due(&step(8)),
+            "resumed after its first step, it would drop what that decided"
+        );
     }
 
     #[test]
@@ -320,6 +371,30 @@ mod tests {
         assert!(config.check().unwrap_err().contains("still.from"));
         assert_eq!(StillConfig { pixels: 0.0, ..config }.check(), Ok(()));
         assert_eq!(decided().config.check(), Ok(()));
+        let config = StillConfig { pull: 1.0, ..decided().config };
+        assert_eq!(config.check(), Ok(()));
+        assert!(StillConfig { shape: 0.0, ..config }.check().unwrap_err().contains("still.pull"));
+    }
+
+    /// Rows 0 and 1 are left out, row 2 was never shown, row 3 is 0.03 away at time 1: 3 pixels, two tolerances.
+    #[test]
+    fn what_takes_part_is_pulled_to_rest() {
+        let mut rows = decided();
+        rows.config.pull = 2.0;
+        rows.reach[2] = 0.0;
+        rows.begin_step(&step(8));
+        let (canonical, mut moved) = (canonical(), Geometry::default());
+        swing(Time { normalised: 1.0, seconds: 1.0 }, canonical.view(), &mut moved);
+        let at = StepCtx { batch: 2, ..step(8) };
+        let (grad, value) = rows.pull(canonical.view(), &moved, &at).expect("a pull");
+        // Of four splats in one of two views; scales double: a hundred tolerances by their largest.
+        let size = canonical.scales[3].length() / canonical.scales[3].max_element();
+        assert!((value - 2.0 / 8.0 * (2.0 + 100.0 * size)).abs() < 1e-3, "{value}");
+        assert!((grad.means[3] - Vec3::Y * 2.0 / 8.0 * 100.0 / 1.5).length() < 1e-3, "{:?}", grad.means);
+        assert_eq!(grad.means[..3], [Vec3::ZERO; 3]);
+        assert!(rows.pull(canonical.view(), &moved, &StepCtx { stage_offset: 97, ..at.clone() }).is_none());
+        rows.config.pull = 0.0;
+        assert!(rows.pull(canonical.view(), &moved, &at).is_none());
     }
 
     /// Seen from the larger extreme scales change by a third, seen from the smaller one by as much as that is.

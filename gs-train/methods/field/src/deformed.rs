@@ -175,6 +175,7 @@ where
     fn step(&mut self, view: &ViewCtx<'_>, render: &mut dyn RenderView) -> Result<Vec<LossValue>, MethodError> {
         self.canonical.forward();
         let dynamic = self.canonical.at.dynamic;
+        let mut own = Vec::new();
         let stats = if dynamic {
             let t = self.training_time(view.at.t);
             let Self { canonical: Canonical { splats, d_splats, at, .. }, field, tape, resting, .. } = self;
@@ -183,17 +184,26 @@ where
             let stats = render.render(splats.with_geometry(self.moved.view()), d_splats)?;
             resting.see(&self.moved, stats, view.camera);
             at.keep_sizes(d_splats);
+            let pull = resting.pull(splats.geometry(), &self.moved, at);
+            if let Some((pull, value)) = &pull {
+                d_splats.add_geometry(1.0, pull);
+                own.push(("still", *value));
+            }
             let backward =
                 |rows: GeometryRef<'_>, d: GeometryRef<'_>, to: &mut Geometry| field.backward(rows, tape, d, to);
             resting.backward(splats.geometry(), d_splats.geometry(), backward, &mut self.d_canonical);
             d_splats.swap_geometry(&mut self.d_canonical);
+            if let Some((pull, _)) = &pull {
+                // It pulls at what the field adds, not at where it adds it.
+                d_splats.add_geometry(-1.0, pull);
+            }
             stats
         } else {
             render.render(self.canonical.splats.view(), &mut self.canonical.d_splats)?
         };
         self.canonical.backward();
         self.canonical.accumulate(stats, view.camera);
-        Ok(Vec::new())
+        Ok(own)
     }
 
     fn regularise(&mut self, last: &Timestamp) -> Vec<LossValue> {

@@ -159,13 +159,7 @@ fn a_still_splat_that_the_image_shows_elsewhere_takes_part_again() {
         if step == 3 {
             image.shown.means[row].x += 0.1;
         }
-        method.begin_step(&StepCtx {
-            step,
-            stage_steps: 100,
-            stage_offset: step - 1,
-            dynamic: true,
-            ..StepCtx::default()
-        });
+        method.begin_step(&StepCtx { step, stage_steps: 100, stage_offset: step, dynamic: true, ..StepCtx::default() });
         method.step(&view, &mut image).unwrap();
         decisions.extend(method.end_step().unwrap().log);
     }
@@ -175,4 +169,19 @@ fn a_still_splat_that_the_image_shows_elsewhere_takes_part_again() {
     assert!(decisions.iter().eq(&expected.map(|d| serde_json::json!(d)).collect::<Vec<_>>()), "{decisions:?}");
     let learnt_from: Vec<usize> = method.field.learnt_from.lock().unwrap().iter().map(|n| n[0]).collect();
     assert_eq!(learnt_from, [ground, 0, 0, 1, 0]);
+}
+
+/// The image asks for nothing. The pull is linear in the pace, so its value is the pace times its slope.
+#[test]
+fn a_pull_reaches_the_field_and_not_the_cloud() {
+    let pull = "still = { pixels = 0.1, shape = 0.1, from = 0.0, until = 1.0, pull = 1.0 }";
+    let (mut method, data) = (glide(&[pull]).0, scene("falling", 32, 7));
+    let mut image = Image { shown: method.canonical.activated(), stats: ScreenStats::default() };
+    let view = ViewCtx { at: Timestamp::normalised(0.5), camera: &data.train[0].camera, draw: 0, last: true };
+    let at = StepCtx { step: 1, stage_steps: 100, dynamic: true, batch: 1, ..StepCtx::default() };
+    method.begin_step(&at);
+    let [("still", value)] = method.step(&view, &mut image).unwrap()[..] else { panic!("one term") };
+    let pace = &method.field.pace;
+    assert!(value > 0.0 && (pace.grad[0] * pace.value[0] - value).abs() < 1e-4 * value, "{} {value}", pace.grad[0]);
+    method.canonical.cloud.visit(&mut |p| assert!(p.grad.iter().all(|g| *g == 0.0), "{}", p.name));
 }
