@@ -57,6 +57,8 @@ pub fn chart(title: &str, x_name: &str, scale: Scale, curves: &[Curve]) -> Resul
         .collect();
     let Some((x, y)) = ranges(&curves) else { return Ok(None) };
     let draw = |root: &Area<'_>| match scale {
+        // Between few powers of a base there would be no mark.
+        Scale::Log if y.1 < 4.0 * y.0 => lines(framed(root, title, x_name, x.0..x.1, with_margin(y))?, &curves),
         Scale::Linear => lines(framed(root, title, x_name, x.0..x.1, with_margin(y))?, &curves),
         Scale::Log => {
             let (low, high) = (y.0 * 0.9, (y.1 * 1.1).max(y.0 * 1.5));
@@ -198,7 +200,9 @@ pub(super) fn ranges(curves: &[Curve]) -> Option<((f64, f64), (f64, f64))> {
 
 /// A vertical axis a little longer than its values.
 pub(super) fn with_margin((low, high): (f64, f64)) -> std::ops::Range<f64> {
-    let margin = 0.06 * (high - low).max(1e-9 * high.abs()).max(1e-12);
+    // A constant stands in the middle of an axis that has more than one number.
+    let range = if high - low > 1e-6 * high.abs() { high - low } else { 4.0 * high.abs() };
+    let margin = 0.06 * range.max(1e-12);
     low - margin..high + margin
 }
 
@@ -268,6 +272,10 @@ mod tests {
                 && two.trim_end().ends_with("</svg>"),
             "{two}"
         );
+        let near = chart("t", "x", Scale::Log, &curve(vec![(10.0, 0.0522), (40.0, 0.0413)])).unwrap().unwrap();
+        assert!(near.contains("0.045") && near.contains("0.05"), "marks: {near}");
+        let even = chart("t", "x", Scale::Linear, &curve(vec![(0.0, 50_000.0), (1.0, 50_000.0)])).unwrap().unwrap();
+        assert!(even.matches("50k").count() == 1 && even.contains("45k"), "one mark a number: {even}");
         let flat = chart("a<b", "x", Scale::Linear, &curve(vec![(0.0, 0.0), (1.0, 0.0)])).unwrap().unwrap();
         assert!(flat.contains("a&lt;b"));
     }

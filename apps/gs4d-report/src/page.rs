@@ -45,7 +45,7 @@ fn cards(figures: &[Figure]) -> String {
 }
 
 fn views(heading: &str, conditions: &str, views: &[Comparison]) -> Result<String, ReportError> {
-    let remark = format!("A view of median PSNR first, then the worst. {}", escape(conditions));
+    let remark = format!("A view of median PSNR first, then others from the worst up. {}", escape(conditions));
     Ok(section(heading, &remark, &comparisons(views)?))
 }
 

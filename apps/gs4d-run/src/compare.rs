@@ -286,16 +286,19 @@ fn recipe(side: &Side) -> BTreeMap<&str, String> {
 
 /// The spread over seeds of recipes with several runs, in words.
 fn seeds(sides: &[Side], runs: &[Row]) -> String {
-    let mut recipes: Vec<(BTreeMap<&str, String>, Vec<usize>)> = Vec::new();
+    type Recipe<'a> = (BTreeMap<&'a str, String>, u32);
+    let mut recipes: Vec<(Recipe<'_>, Vec<usize>)> = Vec::new();
     for (k, side) in sides.iter().enumerate() {
-        let values = recipe(side);
+        // Runs of one budget of time may end at different steps.
+        let steps = if side.run.resolved.run.time_budget > 0.0 { 0 } else { runs[k].step };
+        let values = (recipe(side), steps);
         match recipes.iter_mut().find(|r| r.0 == values) {
             Some((_, of)) => of.push(k),
             None => recipes.push((values, vec![k])),
         }
     }
     let several_seeds = |of: &[usize]| of.iter().any(|k| runs[*k].seed != runs[of[0]].seed);
-    let spread = |(_, of): &(BTreeMap<&str, String>, Vec<usize>)| {
+    let spread = |(_, of): &(Recipe<'_>, Vec<usize>)| {
         // One run for each seed: a repeated one says nothing of the spread.
         let by_seed: BTreeMap<u64, Option<f64>> =
             of.iter().rev().map(|k| (runs[*k].seed, runs[*k].scores.mean.psnr)).collect();
@@ -326,7 +329,8 @@ fn differing_settings(sides: &[Side]) -> Vec<DifferingSetting> {
 pub type Column = (&'static str, usize, fn(&Row) -> Option<f64>);
 
 /// Columns in addition to [`SCORES`].
-const RUN_COLUMNS: [Column; 7] = [
+const RUN_COLUMNS: [Column; 8] = [
+    ("views without error", 0, |r| (r.scores.perfect_views > 0).then_some(r.scores.perfect_views as f64)),
     ("dB of mean error", 2, |r| r.scores.psnr_of_mean_mse),
     ("worst dB", 2, |r| r.scores.views.iter().filter_map(|v| v.psnr).reduce(f64::min)),
     ("worst ssim", 4, |r| r.scores.views.iter().map(|v| v.ssim).reduce(f64::min)),

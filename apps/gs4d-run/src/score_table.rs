@@ -6,6 +6,7 @@ use gs_data::{Dataset, ImageCache, Split, View};
 use gs_train::evaluate::{EvalReport, FittedScores, MaskedScores, RefinedCameras, ViewScores};
 use gs_train::renderer::Renderer;
 use gs4d_report::Comparison;
+use std::cmp::Ordering;
 use std::collections::BTreeSet;
 
 /// Number of worst views shown.
@@ -43,7 +44,7 @@ pub(super) fn comparisons(
         let truth = m.images.get(view)?.over(m.scores.background);
         let psnr = scores.psnr.map_or("perfect".to_owned(), |p| format!("{p:.2} dB"));
         let time = view.time.normalised;
-        let kind = if place == median(ranked.len()) { "median" } else { "worst" };
+        let kind = kind(place, ranked.len());
         let caption = format!(
             "{kind}, rank {} of {} from the worst · {} · t = {time:.3} · PSNR {psnr} · SSIM {:.4}",
             place + 1,
@@ -60,6 +61,15 @@ pub(super) fn comparisons(
         });
     }
     Ok(out)
+}
+
+/// What a view of a rank is called.
+fn kind(place: usize, n: usize) -> &'static str {
+    match place.cmp(&median(n)) {
+        Ordering::Less => "worst",
+        Ordering::Equal => "median",
+        Ordering::Greater => "above the median",
+    }
 }
 
 /// The rank of the median view, the lower one of two.
@@ -170,6 +180,8 @@ mod tests {
     fn the_middle_and_the_worst_are_shown_once() {
         assert_eq!((places(0), places(1), places(2), places(3)), (vec![], vec![0], vec![0, 1], vec![1, 0, 2]));
         assert_eq!((places(20), places(21)), (vec![9, 0, 1, 2], vec![10, 0, 1, 2]));
+        assert_eq!([0, 1].map(|place| kind(place, 2)), ["median", "above the median"]);
+        assert_eq!([0, 1, 2].map(|place| kind(place, 3)), ["worst", "median", "above the median"]);
     }
 
     #[test]

@@ -13,6 +13,7 @@ use gs_train::evaluate::{EvalReport, clamped};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::renderer::Renderer;
+use gs_train::scene::SceneInfo;
 use gs_train::timestamp::Timestamp;
 use gs4d_report::analysis::AnalysisError;
 use gs4d_report::analysis::paths::{painted, sample_count, second_difference_overlay};
@@ -46,8 +47,8 @@ pub(crate) struct ReportInput<'a> {
     pub(crate) device: &'a Device,
     /// Scores of a split.
     pub(crate) scores: &'a EvalReport,
-    /// Radius of the scene, world units.
-    pub(crate) extent: f32,
+    /// What the method was made for.
+    pub(crate) scene: &'a SceneInfo,
     /// Optimizer steps made.
     pub(crate) step: u32,
 }
@@ -105,7 +106,7 @@ pub(crate) fn build_report(m: &ReportInput) -> Result<Report, RunError> {
         report.overlay_view =
             format!("{} at t = {:.3}, a view of median PSNR, over black.", view.name, view.time.normalised);
         let seen: Vec<_> = ranked.iter().take(WORK_VIEWS).map(|v| (m.images.camera(v), v.time)).collect();
-        report.needs = needs(m.method, &camera, m.extent)?;
+        report.needs = needs(m.method, &camera, m.scene.extent)?;
         report.needs.extend(analysis(m, &seen, &options)?);
         report.work = drawing_rows(m.method, &seen, &options)?;
         report.work.extend(resting_rows(m.method, &seen));
@@ -164,14 +165,18 @@ fn score_figures(m: &ReportInput) -> Vec<Figure> {
     let number = score_table::number_or_dash;
     let over = |s: &EvalReport| format!("{} {} views over {}", s.views.len(), s.split, color_name(s.background));
     let of = over(s);
-    let mut figures = vec![figure(format!("{} dB", number(s.mean.psnr, 2)), "PSNR", format!("mean of {of}"))];
+    let mean = |s: &EvalReport| match s.perfect_views {
+        0 => format!("mean of {}", over(s)),
+        n => format!("mean of {} of {}; {n} are without error", s.views.len().saturating_sub(n), over(s)),
+    };
+    let mut figures = vec![figure(format!("{} dB", number(s.mean.psnr, 2)), "PSNR", mean(s))];
     figures.extend(
         s.psnr_of_mean_mse
             .map(|p| figure(format!("{p:.2} dB"), "PSNR of the mean error", format!("one mean square over {of}"))),
     );
-    figures.extend(s.extrapolate.as_ref().map(|f| {
-        figure(format!("{} dB", number(f.mean.psnr, 2)), "PSNR, extrapolated", format!("mean of {}", over(f)))
-    }));
+    figures.extend(
+        s.extrapolate.as_ref().map(|f| figure(format!("{} dB", number(f.mean.psnr, 2)), "PSNR, extrapolated", mean(f))),
+    );
     let proxy = format!("not LPIPS, less is better; mean of {of}");
     figures.push(figure(number(s.mean.ssim, 4), "SSIM", format!("11×11 window, zeros outside; mean of {of}")));
     figures.push(figure(number(s.mean.perceptual_proxy, 4), "perceptual proxy", proxy));
@@ -235,10 +240,15 @@ fn strip(method: &Model, renderer: &mut Renderer, camera: &Camera) -> Result<Vec
     (0..STRIP_FRAMES).map(still).collect()
 }
 
+/// Spacing of the training times, normalised; half the span of a single one.
+fn interval(scene: &SceneInfo) -> f32 {
+    if scene.frame_interval > 0.0 { scene.frame_interval } else { 0.5 }
+}
+
 /// A render coloured by second differences of motion at the time of a view, over black.
 fn jerk(m: &ReportInput, view: &View, camera: &Camera) -> Result<Vec<Still>, MethodError> {
     let mut renderer = Renderer::new(m.method.raster_options([0.0; 3]));
-    let (time, interval) = (view.time.normalised, 1.0 / m.dataset.train.len().max(2) as f32);
+    let (time, interval) = (view.time.normalised, interval(m.scene));
     let overlay = match second_difference_overlay(m.method, time, interval, camera) {
         Ok(overlay) => overlay,
         Err(AnalysisError::Trajectory(_)) => return Ok(Vec::new()),
@@ -250,7 +260,7 @@ fn jerk(m: &ReportInput, view: &View, camera: &Camera) -> Result<Vec<Still>, Met
 }
 
 fn analysis(m: &ReportInput, seen: &[(Camera, Time)], options: &RasterOptions) -> Result<Vec<ReportRow>, MethodError> {
-    let moments = if m.dataset.dynamic { sample_count(m.dataset.train.len()) } else { 0 };
+    let moments = if m.dataset.dynamic { sample_count(m.scene.timestamps as usize) } else { 0 };
     let mut rows = Analysis::of(m.method, moments, None)?.rows();
     rows.extend(RenderCost::of(m.method, seen, options, m.scores.mean.psnr)?.iter().flat_map(RenderCost::rows));
     Ok(rows)

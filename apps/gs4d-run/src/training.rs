@@ -315,9 +315,7 @@ impl Training {
         let progress = self.progress();
         on_step(progress, &mut self.trainer);
         if log || report.step == self.trainer.steps() {
-            let line = self.window.line(&report, self.trainer.train_seconds());
-            self.logs.steps.add(&line, &self.patience.warn);
-            self.window = Window::default();
+            self.log_steps();
         }
         if histograms {
             self.log_histograms()?;
@@ -330,6 +328,14 @@ impl Training {
             self.save()?;
         }
         Ok(())
+    }
+
+    /// Writes a line of the log of the steps since the last one, if there are any.
+    fn log_steps(&mut self) {
+        if let Some(line) = self.window.line(self.trainer.train_seconds()) {
+            self.logs.steps.add(&line, &self.patience.warn);
+            self.window = Window::default();
+        }
     }
 
     fn progress(&self) -> Progress {
@@ -423,7 +429,7 @@ impl Training {
             images: &images,
             device: self.trainer.device(),
             scores,
-            extent: self.trainer.scene().extent,
+            scene: self.trainer.scene(),
             step: self.trainer.steps_done(),
         };
         let report = build_report(&material)?;
@@ -447,6 +453,8 @@ impl Training {
     /// # Errors
     /// If the system still refuses; older checkpoints stay good.
     pub fn save(&mut self) -> Result<PathBuf, RunError> {
+        // A run that is resumed from here begins a new line.
+        self.log_steps();
         let Logs { steps, histograms, journal } = &mut self.logs;
         [steps, histograms, journal].into_iter().for_each(|log| log.flush(&self.patience.warn));
         self.trainer.gather()?;

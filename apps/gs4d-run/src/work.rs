@@ -101,19 +101,26 @@ pub(crate) fn training_rows(log: &[Value]) -> Vec<ReportRow> {
     ]
 }
 
-/// Peak memory of the process while it trained, where the system tells, MiB.
+/// Largest memory of a process that trained, where the system tells, MiB.
 pub(crate) fn peak_memory_mib(log: &[Value]) -> Option<f64> {
-    step_lines(log).next_back()?["memory_mib"].as_f64()
+    step_lines(log).filter_map(|l| l["memory_mib"].as_f64()).reduce(f64::max)
 }
 
-/// Parts of a step with their milliseconds, means over the logged steps, the longest first; parts below 0.5 % are summed up.
+/// Parts of a step with their milliseconds, means over all steps, the longest first; parts below 0.5 % are summed up.
 pub(crate) fn step_phases(log: &[Value]) -> Vec<(String, f64)> {
-    let mut sums = BTreeMap::<&str, f64>::new();
-    let parts = step_lines(log).flat_map(|l| l["ms_last"].as_object().into_iter().flatten());
-    for (name, ms) in parts.filter(|(name, _)| *name != "total") {
-        *sums.entry(name).or_default() += ms.as_f64().unwrap_or(0.0);
+    let (mut sums, mut steps) = (BTreeMap::<&str, f64>::new(), 0.0);
+    for line in step_lines(log) {
+        // Lines without means tell of their last step alone.
+        let (parts, of) = match line["ms"].as_object() {
+            Some(means) => (Some(means), line["steps"].as_f64().unwrap_or(1.0)),
+            None => (line["ms_last"].as_object(), 1.0),
+        };
+        steps += of;
+        for (name, ms) in parts.into_iter().flatten().filter(|(name, _)| *name != "total") {
+            *sums.entry(name).or_default() += of * ms.as_f64().unwrap_or(0.0);
+        }
     }
-    let (steps, all) = (step_lines(log).count().max(1) as f64, sums.values().sum::<f64>());
+    let (steps, all) = (steps.max(1.0), sums.values().sum::<f64>());
     let (small, large): (Vec<_>, Vec<_>) = sums.into_iter().partition(|(_, ms)| *ms < 0.005 * all);
     let mut phases: Vec<_> = large.into_iter().map(|(name, ms)| (name.replace('_', " "), ms / steps)).collect();
     phases.sort_by(|a, b| b.1.total_cmp(&a.1));
@@ -169,6 +176,11 @@ mod tests {
         let phases = step_phases(&log);
         let expected = [("field", 0.5), ("raster forward", 0.25), ("all else", 0.001)];
         assert_eq!(phases, expected.map(|(name, ms)| (name.to_owned(), ms)), "the longest first, the total left out");
+        let mut mean = line(1);
+        (mean["steps"], mean["ms"], mean["memory_mib"]) = (json!(8), json!({"field": 3.0}), json!(12.0));
+        let phases = step_phases(&[log[0].clone(), mean.clone(), log[2].clone()]);
+        assert_eq!(phases[0], ("field".to_owned(), (8.0 * 3.0 + 2.0 * 0.5) / 10.0), "a line of eight steps");
+        assert_eq!(peak_memory_mib(&[log[0].clone(), mean]), Some(20.0), "of the process before");
         let other = [json!({"eval": 1})];
         assert!(training_rows(&other).is_empty() && step_phases(&other).is_empty());
     }

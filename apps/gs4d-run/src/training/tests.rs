@@ -104,11 +104,13 @@ fn a_run_is_begun_goes_on_and_is_finished_when_its_end_is_scored() {
 #[test]
 fn a_run_goes_on_up_to_its_own_time_budget() {
     let dir = prepared();
-    let (root, short) = (dir.path().join("run"), settings(&dir, Some(1e-9)));
+    let (root, mut short) = (dir.path().join("run"), settings(&dir, Some(1e-9)));
+    short.run.log_every = 10;
     for _ in 0..2 {
         let mut training = Training::go_on(&root, short.clone()).unwrap();
         assert!(matches!(train(&mut training, None).0, Ok(Outcome::BudgetSpent(_))));
         assert_eq!(training.trainer.steps_done(), 1, "one step spends it");
+        assert_eq!(logged(&training), [1], "what a session ends with is logged");
         training.score().unwrap();
     }
     assert!(matches!(Stage::of(&root, &short).unwrap(), Stage::Finished(scored) if scored.step == 1));

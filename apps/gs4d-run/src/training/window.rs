@@ -3,6 +3,7 @@
 use crate::provenance::peak_memory_mib;
 use gs_train::trainer::StepReport;
 use serde_json::{Value, json};
+use std::collections::BTreeMap;
 
 /// Sums since the last line of the log.
 #[derive(Clone, Debug, Default)]
@@ -14,11 +15,14 @@ pub(super) struct Window {
     mrf: f64,
     exposure: f64,
     mse: f64,
-    ms: f64,
+    /// Milliseconds by phase.
+    ms: BTreeMap<String, f64>,
     pub(super) quarantined: u64,
     cloned: u64,
     split: u64,
     pruned: u64,
+    /// The last of them.
+    last: Option<StepReport>,
 }
 
 impl Window {
@@ -30,11 +34,14 @@ impl Window {
         self.mrf += report.loss.term("mrf").unwrap_or(0.0);
         self.exposure += report.loss.term("exposure").unwrap_or(0.0);
         self.mse += report.loss.mse;
-        self.ms += report.ms.total;
+        for (phase, ms) in phases(report) {
+            *self.ms.entry(phase).or_default() += ms;
+        }
         self.quarantined += u64::from(report.quarantined);
         self.cloned += u64::from(report.adapted.cloned);
         self.split += u64::from(report.adapted.split);
         self.pruned += u64::from(report.adapted.pruned);
+        self.last = Some(report.clone());
     }
 
     pub(super) fn mean(&self, sum: f64) -> f64 {
@@ -45,9 +52,11 @@ impl Window {
         gs_metrics::psnr_from_mse(self.mean(self.mse))
     }
 
-    /// The line of the log after this step, `seconds` into the training.
-    pub(super) fn line(&self, report: &StepReport, seconds: f64) -> Value {
-        json!({
+    /// The line of the log after the last step, `seconds` into the training; none without a step.
+    pub(super) fn line(&self, seconds: f64) -> Option<Value> {
+        let report = self.last.as_ref()?;
+        let ms: BTreeMap<&str, f64> = self.ms.iter().map(|(phase, sum)| (phase.as_str(), self.mean(*sum))).collect();
+        Some(json!({
             "step": report.step,
             "seconds": seconds,
             "stage": report.stage,
@@ -63,10 +72,40 @@ impl Window {
             "split": self.split,
             "pruned": self.pruned,
             "quarantined": self.quarantined,
-            "ms_per_step": self.mean(self.ms),
+            "steps": self.steps,
+            "ms_per_step": ms.get("total"),
+            "ms": ms,
             "ms_last": report.ms,
             "sent_last": report.sent_bytes,
             "memory_mib": peak_memory_mib(),
-        })
+        }))
+    }
+}
+
+/// Name and milliseconds of the phases of a step.
+fn phases(report: &StepReport) -> impl Iterator<Item = (String, f64)> {
+    let all: Option<BTreeMap<String, f64>> =
+        serde_json::to_value(report.ms).ok().and_then(|ms| serde_json::from_value(ms).ok());
+    all.unwrap_or_default().into_iter()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Nine steps of 5 ms in the field, and one that ends with 100 ms of densification.
+    #[test]
+    fn phases_are_means_over_all_steps_of_a_line() {
+        let mut window = Window::default();
+        assert_eq!(window.line(0.0), None);
+        for step in 1..=10 {
+            let mut report = StepReport { step, ..StepReport::default() };
+            (report.ms.field, report.ms.adapt) = (5.0, if step == 10 { 100.0 } else { 0.0 });
+            window.add(&report);
+        }
+        let line = window.line(1.0).unwrap();
+        assert_eq!((&line["step"], &line["steps"]), (&json!(10), &json!(10)));
+        assert_eq!(line["ms"]["adapt"], 10.0);
+        assert_eq!(crate::work::step_phases(&[line]), [("adapt".to_owned(), 10.0), ("field".to_owned(), 5.0)]);
     }
 }

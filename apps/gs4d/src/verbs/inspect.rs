@@ -30,7 +30,7 @@ pub struct Inspect {
     /// A .ply, .splat, .spz, .glb, .sog or .gs4d file, or a run folder.
     #[arg(value_name = "FILE|RUN")]
     path: PathBuf,
-    /// For a run: times at which its motion is sampled [default: its training views, 8 to 200].
+    /// For a run: times at which its motion is sampled [default: its training times, 8 to 200].
     #[arg(long, value_parser = clap::value_parser!(u32).range(4..=2000))]
     moments: Option<u32>,
     /// For a run: lowest frequency that counts as fast motion, cycles over the training span [default: moments / 4].
@@ -96,7 +96,7 @@ impl Inspect {
         for n in &needs {
             text.push_str(&format!("{:26}{:>22}  {}\n", n.name, n.value, n.meaning));
         }
-        let moments = self.moments.map_or_else(|| sample_count(run.loaded.scene.views as usize), |m| m as usize);
+        let moments = self.moments.map_or_else(|| sample_count(run.loaded.scene.timestamps as usize), |m| m as usize);
         let cutoff = self.cutoff.map(|c| c as usize);
         let highest = moments / 2;
         if cutoff.is_some_and(|c| c > highest) {
