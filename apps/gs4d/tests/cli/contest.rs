@@ -45,8 +45,11 @@ fn trials_are_scored_kept_and_never_mixed_up() {
         let want = [0, 1].map(|seed| psnr(k, seed) - psnr(0, seed));
         let trials = entries[k]["trials"].as_array().unwrap();
         let less: Vec<f64> = trials.iter().map(|t| t["psnr_less_the_first"].as_f64().unwrap()).collect();
-        assert_eq!(less, want, "the same seeds");
-        assert_eq!(entries[k]["psnr_less_the_first"]["mean"], serde_json::json!((want[0] + want[1]) / 2.0));
+        // No view is without error, so the mean difference is the difference of the means.
+        let near = |a: f64, b: f64| (a - b).abs() < 1e-9;
+        assert!(less.iter().zip(want).all(|(a, b)| near(*a, b)), "the same seeds: {less:?} {want:?}");
+        let mean = entries[k]["psnr_less_the_first"]["mean"].as_f64().unwrap();
+        assert!(near(mean, (want[0] + want[1]) / 2.0), "{mean}");
     }
 
     let again = contest(good, &["--steps", "12", "--seeds", "0,1"]);
