@@ -17,7 +17,13 @@ fn prepared() -> TempDir {
 
 /// Settings of six steps that log every step and save every second.
 fn settings(dir: &TempDir, time_budget: Option<f64>) -> Resolved {
-    let sets = ["run.checkpoint_every=2", "run.log_every=1", "init.points=60"].map(String::from).to_vec();
+    settings_that_log(dir, time_budget, 1)
+}
+
+/// The same that log every so many steps.
+fn settings_that_log(dir: &TempDir, time_budget: Option<f64>, every: u32) -> Resolved {
+    let log = format!("run.log_every={every}");
+    let sets = ["run.checkpoint_every=2", &log, "init.points=60"].map(String::from).to_vec();
     let (method, preset, data) = ("static3d".into(), "tiny".into(), Some(dir.path().join("data")));
     let request = Request { method, preset, data, steps: Some(6), time_budget, sets, ..Request::default() };
     resolve(gs_methods::registry(), &request).unwrap()
@@ -104,8 +110,7 @@ fn a_run_is_begun_goes_on_and_is_finished_when_its_end_is_scored() {
 #[test]
 fn a_run_goes_on_up_to_its_own_time_budget() {
     let dir = prepared();
-    let (root, mut short) = (dir.path().join("run"), settings(&dir, Some(1e-9)));
-    short.run.log_every = 10;
+    let (root, short) = (dir.path().join("run"), settings_that_log(&dir, Some(1e-9), 10));
     for _ in 0..2 {
         let mut training = Training::go_on(&root, short.clone()).unwrap();
         assert!(matches!(train(&mut training, None).0, Ok(Outcome::BudgetSpent(_))));

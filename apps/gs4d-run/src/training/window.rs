@@ -106,6 +106,6 @@ mod tests {
         let line = window.line(1.0).unwrap();
         assert_eq!((&line["step"], &line["steps"]), (&json!(10), &json!(10)));
         assert_eq!(line["ms"]["adapt"], 10.0);
-        assert_eq!(crate::work::step_phases(&[line]), [("adapt".to_owned(), 10.0), ("field".to_owned(), 5.0)]);
+        assert_eq!(crate::work::step_phases(&[line])[..2], [("adapt".to_owned(), 10.0), ("field".to_owned(), 5.0)]);
     }
 }
