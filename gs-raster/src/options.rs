@@ -42,7 +42,8 @@ pub struct RasterOptions {
     pub max_alpha: f64,
     /// Samples below this alpha are skipped. Default: 1/255 (3DGS).
     pub min_alpha: f64,
-    /// A pixel stops before the sample that would bring its transmittance to this value or below. Default: 1e-4 (3DGS).
+    /// A pixel stops before the sample that would bring its transmittance to this value or below. Default: 1e-4 (3DGS). On the CPU less
+    /// than 1e-30 counts as that.
     pub stop: f64,
     /// Added to both diagonal entries of the projected covariance, pixels². Default: 0.3 (3DGS).
     pub dilation: f64,

@@ -274,7 +274,7 @@ fn axes_that_cannot_be_told_are_not_accused() {
 
 /// Thirty generated sets; `GS4D_SEED` sets the cameras and variants.
 #[test]
-#[ignore = "minutes: the table of docs/guide/data.md"]
+#[ignore = "minutes: cargo test -p gs4d-doctor --lib power -- --ignored --nocapture"]
 fn table() {
     let seed: u64 = std::env::var("GS4D_SEED").map_or(307, |s| s.parse().expect("number"));
     let scenes = ["static", "balls", "sheet", "reach", "trio", "hinge", "spinner", "waves", "twins", "projectile"];

@@ -150,7 +150,7 @@ fn what_cannot_be_told_is_said() {
 
 /// Thirty generated clips; `GS4D_SEED` sets the cameras and variants.
 #[test]
-#[ignore = "minutes: the table of docs/guide/data.md"]
+#[ignore = "minutes: cargo test -p gs4d-doctor --lib power::clocks -- --ignored --nocapture"]
 fn table() {
     let seed: u64 = std::env::var("GS4D_SEED").map_or(307, |s| s.parse().expect("number"));
     let scenes = ["falling", "balls", "sheet", "reach", "trio", "hinge", "spinner", "waves", "twins", "projectile"];
