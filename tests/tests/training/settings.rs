@@ -7,6 +7,7 @@ use gs_train::error::MethodError;
 use gs_train::registry::MethodEntry;
 use gs_train::scene::{InitConfig, SceneInfo};
 use gs_train::trainer::{TrainOptions, Trainer};
+use std::collections::HashMap;
 use std::sync::Arc;
 use toml::{Table, Value};
 
@@ -105,13 +106,20 @@ fn sizes_are_known_before_anything_is_built() {
     }
 }
 
-/// At either end of every domain a method is built and makes a step, or says what does not fit.
+/// At either end of every domain a method is built and makes a step, or says what does not fit. Settings that many methods have are
+/// tried with the first three of these.
 #[test]
 fn the_ends_of_domains_are_no_reason_to_panic() {
+    let mut tried = HashMap::<String, u32>::new();
     for entry in of_scenes() {
         let data = scene("balls", 16, 3);
         let config = short(entry.name);
         for (key, value) in numbers(&config) {
+            let tried = tried.entry(key.clone()).or_default();
+            *tried += 1;
+            if *tried > 3 {
+                continue;
+            }
             let Domain { low, high, .. } = domain_of(entry, &key);
             // As many first points are made as are asked for.
             for number in [low, high].into_iter().filter(|n| *n != value && key != "init.points") {
