@@ -194,11 +194,12 @@ impl Job<'_> {
         let mut left = LeftOut::default();
         if !self.settings().keep_all && !self.settings().unordered {
             let mut measures = Vec::new();
+            let max_bytes = self.settings().max_image_mib.map(|mib| u64::from(mib) << 20);
             for camera in 0..self.sources.len() {
                 let (files, what) = (self.files(camera)?, format!("sharpness of {}", camera_name(camera)));
                 let tell = &mut *self.tell;
                 let mut each = |done| tell(Event::Progress { what: &what, done, of: Some(files.len()) });
-                measures.push(sharp::measure(&files, self.runner.stop, &mut each)?);
+                measures.push(sharp::measure(&files, max_bytes, self.runner.stop, &mut each)?);
             }
             left = worthless(&measures, self.state.rig == Some(Rig::Moving));
         }

@@ -2,12 +2,15 @@
 
 use glam::{DMat3, DQuat, DVec3};
 use gs_core::{Camera, cast::to_usize};
+use gs_data::geometry::near_axes;
 use gs_data::{Lens, PointCloud, Reconstruction, Registered};
 
 /// Mean distance of the cameras from the middle of the scene, world units.
 const RADIUS: f64 = 4.0;
 /// Poses of one camera that lie farther than this multiple of the usual distance from the most central one are not averaged.
 const FAR: f64 = 3.0;
+/// Optical axes are taken for parallel up to this determinant ([`near_axes`]).
+const PARALLEL: f64 = 1e-3;
 
 /// A camera with its lens.
 #[derive(Clone, Debug, PartialEq)]
@@ -110,21 +113,9 @@ pub(crate) fn upright(cameras: &[&Camera], points: &PointCloud) -> Similarity {
     Similarity { scale, rotation, shift: -scale * (rotation * middle) }
 }
 
-/// The point nearest to all optical axes, if it lies before the cameras: `Σ (I − d dᵀ)(p − o) = 0`.
+/// The point nearest to all optical axes, if it lies before the cameras.
 fn focus(cameras: &[&Camera]) -> Option<DVec3> {
-    let (mut left, mut right) = (DMat3::ZERO, DVec3::ZERO);
-    for camera in cameras {
-        let d = camera.forward();
-        let off = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);
-        left += off;
-        right += off * camera.position();
-    }
-    // 0 for parallel axes, 0.15 for two at right angles.
-    let spread = (left * (1.0 / cameras.len() as f64)).determinant();
-    if spread.is_nan() || spread < 1e-3 {
-        return None;
-    }
-    let point = left.inverse() * right;
+    let point = near_axes(cameras.iter().copied(), PARALLEL)?;
     cameras.iter().all(|c| c.to_camera(point).z > 0.0).then_some(point)
 }
 

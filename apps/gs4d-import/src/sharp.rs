@@ -26,9 +26,9 @@ pub(crate) struct Measures {
     pub(crate) change: Vec<f64>,
 }
 
-/// Brightness of an image file, `[height, width]`, and its width.
-fn grey(file: &Path) -> Result<(Vec<f32>, usize), ImportError> {
-    let image = decode(file, None)?;
+/// Brightness of an image file, `[height, width]`, and its width. `max_bytes` bounds the memory of decoding.
+fn grey(file: &Path, max_bytes: Option<u64>) -> Result<(Vec<f32>, usize), ImportError> {
+    let image = decode(file, max_bytes)?;
     let brightness = |p: &[u8]| 0.299 * f32::from(p[0]) + 0.587 * f32::from(p[1]) + 0.114 * f32::from(p[2]);
     Ok((image.data.chunks_exact(4).map(brightness).collect(), image.width))
 }
@@ -46,9 +46,10 @@ fn sharpness(grey: &[f32], width: usize) -> f64 {
     if n > 0.0 { squares / n - (sum / n) * (sum / n) } else { 0.0 }
 }
 
-/// Measures the frames of a camera.
+/// Measures the frames of a camera; `max_bytes` bounds the memory for decoding one.
 pub(crate) fn measure(
     files: &[PathBuf],
+    max_bytes: Option<u64>,
     stop: &AtomicBool,
     tell: &mut dyn FnMut(usize),
 ) -> Result<Measures, ImportError> {
@@ -60,7 +61,7 @@ pub(crate) fn measure(
         }
         let read: Vec<(Vec<f32>, f64)> = chunk
             .par_iter()
-            .map(|file| grey(file).map(|(grey, width)| (sharpness(&grey, width), grey)).map(|(s, g)| (g, s)))
+            .map(|file| grey(file, max_bytes).map(|(grey, width)| (sharpness(&grey, width), grey)).map(|(s, g)| (g, s)))
             .collect::<Result<_, ImportError>>()?;
         for (now, sharp) in read {
             let difference = |old: &Vec<f32>| {
@@ -108,6 +109,7 @@ pub(crate) fn duplicates(change: &[f64]) -> Vec<bool> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gs_data::DataError;
 
     #[test]
     fn blurred_frames_differ_from_their_neighbours() {
@@ -146,10 +148,12 @@ mod tests {
             file
         });
         let stop = AtomicBool::new(false);
-        let m = measure(&files, &stop, &mut |_| {}).unwrap();
+        let m = measure(&files, None, &stop, &mut |_| {}).unwrap();
         assert!(m.sharpness[1] < 0.4 * m.sharpness[0], "{m:?}");
         assert!(m.change[0] == 0.0 && m.change[1] > 5.0 && m.change[2] == 0.0, "{m:?}");
+        let e = measure(&files, Some(40 * 30 * 4 - 1), &stop, &mut |_| {}).unwrap_err();
+        assert!(matches!(e, ImportError::Data(DataError::TooLarge { .. })), "{e}");
         stop.store(true, Ordering::Relaxed);
-        assert!(matches!(measure(&files, &stop, &mut |_| {}), Err(ImportError::Stopped { .. })));
+        assert!(matches!(measure(&files, None, &stop, &mut |_| {}), Err(ImportError::Stopped { .. })));
     }
 }

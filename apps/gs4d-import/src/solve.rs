@@ -8,7 +8,7 @@ use crate::poses::{Posed, RigPoses, central, rig, spread_over, upright};
 use crate::write::{Frame, moved, write};
 use crate::{Event, Imported, ImportedCamera, Job, named};
 use gs_core::Camera;
-use gs_data::{PointCloud, Registered, decode::decode};
+use gs_data::{PointCloud, Registered, decode::stored_size};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -81,8 +81,7 @@ impl Job<'_> {
         frames.iter().for_each(|[camera, frame]| by_camera.entry(*camera).or_default().push(*frame));
         for (camera, list) in by_camera {
             let files = self.files(camera)?;
-            let first = decode(&files[list[0]], None)?;
-            let size = [first.width, first.height].map(gs_core::cast::to_u32);
+            let size = stored_size(&files[list[0]])?;
             let names = list.iter().map(|&k| image_name(camera, &files[k]));
             match lots.first_mut().filter(|_| self.settings().same_lens) {
                 Some(lot) if lot.size == size => lot.names.extend(names),

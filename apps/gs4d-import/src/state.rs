@@ -71,6 +71,9 @@ pub struct Settings {
     pub held_out: Option<u32>,
     /// Let COLMAP use the graphics card.
     pub gpu: bool,
+    /// Most memory for decoding one image, MiB; none: 64 MiB plus eight times the size of its file. Each call has its own.
+    #[serde(skip)]
+    pub max_image_mib: Option<u32>,
 }
 
 impl Default for Settings {
@@ -92,6 +95,7 @@ impl Default for Settings {
             keep_all: false,
             held_out: None,
             gpu: false,
+            max_image_mib: None,
         }
     }
 }
@@ -250,6 +254,7 @@ impl State {
         if self.finished.is_none() {
             self.settings.held_out = asked.settings.held_out;
         }
+        self.settings.max_image_mib = asked.settings.max_image_mib;
         let [old, new] = [&self.settings, &asked.settings].map(|s| serde_json::to_value(s).unwrap_or_default());
         let differs = old.as_object().into_iter().flatten().find(|(key, value)| new.get(key) != Some(value));
         match differs {
@@ -453,6 +458,9 @@ mod tests {
         state.frames = vec![7];
         state.save(&data).unwrap();
         assert_eq!(State::begin(&data, &source, &settings, false).unwrap().frames, [7]);
+        let larger = Settings { max_image_mib: Some(500), ..settings.clone() };
+        let again = State::begin(&data, &source, &larger, false).unwrap();
+        assert_eq!((again.frames, again.settings.max_image_mib), (vec![7], Some(500)), "memory makes no other import");
         let other = Settings { keyframes: 9, ..settings.clone() };
         let e = State::begin(&data, &source, &other, false).unwrap_err().to_string();
         assert!(e.contains("keyframes was 100"), "{e}");

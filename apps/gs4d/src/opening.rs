@@ -19,6 +19,11 @@ pub struct Reading {
 }
 
 impl Reading {
+    /// By these settings, with the layout that fits.
+    pub fn of(sets: Vec<String>) -> Self {
+        Self { layout: None, sets }
+    }
+
     /// The options of the reader; settings that are not of the data are refused.
     pub fn options(&self) -> Result<DataOptions, Failure> {
         if let Some(other) = self.sets.iter().find(|s| !s.starts_with("data.")) {

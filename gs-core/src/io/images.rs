@@ -20,7 +20,7 @@ use super::{IoError, Limits, read_file, write_file};
 use crate::image::Image;
 use ::image::codecs::png::PngEncoder;
 use ::image::{DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageFormat, ImageReader};
-use std::io::{Cursor, Write};
+use std::io::{BufRead, Cursor, Write};
 use std::path::Path;
 
 /// The first bytes of every EXR file.
@@ -175,7 +175,7 @@ fn decode_one_of(
     src: Source<'_>,
 ) -> Result<DynamicImage, IoError> {
     let reader = open(formats, bytes, limits, src)?;
-    if reader.format() == Some(ImageFormat::Jpeg) && !jpeg_ends(bytes) {
+    if reader.format() == Some(ImageFormat::Jpeg) && !jpeg_ends(&mut &*bytes).unwrap_or(false) {
         return Err(src.truncated("JPEG end marker", bytes.len(), 2, 0));
     }
     let decoder = reader.into_decoder().map_err(|e| broken(&e, src))?;
@@ -185,11 +185,79 @@ fn decode_one_of(
     DynamicImage::from_decoder(decoder).map_err(|e| broken(&e, src))
 }
 
-/// Whether an end marker (FFD9) follows the last scan (FFDA): the decoder fills a truncated image with grey silently.
-/// Inside a scan neither pair occurs, as FF is always followed by 00 or a restart marker there.
-fn jpeg_ends(bytes: &[u8]) -> bool {
-    let last = |marker: [u8; 2]| bytes.windows(2).rposition(|w| w == marker);
-    last([0xff, 0xd9]) > last([0xff, 0xda])
+/// Markers of a JPEG: the beginning and the end of an image, a scan, and one without a segment (ITU T.81, table B.1).
+const START: u8 = 0xd8;
+const END: u8 = 0xd9;
+const SCAN: u8 = 0xda;
+const ALONE: u8 = 0x01;
+
+/// Whether the image that begins a JPEG is whole: its end marker follows its scans. A decoder fills what is missing of an
+/// image that was cut with grey, silently. What follows the end marker, such as the video of a motion photo, is not read.
+///
+/// ```
+/// let image: &[u8] = &[0xff, 0xd8, 0xff, 0xda, 0, 3, 7, 0x12, 0xff, 0, 0x34, 0xff, 0xd9];
+/// assert!(gs_core::io::images::jpeg_ends(&mut &*image)?);
+/// assert!(!gs_core::io::images::jpeg_ends(&mut &image[..11])?);
+/// # Ok::<(), std::io::Error>(())
+/// ```
+///
+/// # Errors
+/// Those of `jpeg`; that it ends early is none.
+pub fn jpeg_ends(jpeg: &mut impl BufRead) -> std::io::Result<bool> {
+    if next_marker(jpeg)? != Some(START) {
+        return Ok(false);
+    }
+    let mut scanned = false;
+    while let Some(marker) = next_marker(jpeg)? {
+        match marker {
+            END => return Ok(scanned),
+            START => return Ok(false),
+            ALONE => {}
+            _ => {
+                if !skip_segment(jpeg)? {
+                    return Ok(false);
+                }
+                scanned |= marker == SCAN;
+            }
+        }
+    }
+    Ok(false)
+}
+
+/// The second byte of the next marker, none at the end. In scans FF is followed by 00, or by a restart marker (D0 to D7);
+/// before a marker it may be repeated.
+fn next_marker(jpeg: &mut impl BufRead) -> std::io::Result<Option<u8>> {
+    loop {
+        jpeg.skip_until(0xff)?;
+        let mut byte = next_byte(jpeg)?;
+        while byte == Some(0xff) {
+            byte = next_byte(jpeg)?;
+        }
+        if !matches!(byte, Some(0x00 | 0xd0..=0xd7)) {
+            return Ok(byte);
+        }
+    }
+}
+
+/// Skips a segment, which begins with its length in two bytes that count themselves; whether it is whole.
+fn skip_segment(jpeg: &mut impl BufRead) -> std::io::Result<bool> {
+    let (Some(high), Some(low)) = (next_byte(jpeg)?, next_byte(jpeg)?) else { return Ok(false) };
+    let Some(mut left) = usize::from(u16::from_be_bytes([high, low])).checked_sub(2) else { return Ok(false) };
+    while left > 0 {
+        let there = jpeg.fill_buf()?.len().min(left);
+        if there == 0 {
+            return Ok(false);
+        }
+        jpeg.consume(there);
+        left -= there;
+    }
+    Ok(true)
+}
+
+fn next_byte(jpeg: &mut impl BufRead) -> std::io::Result<Option<u8>> {
+    let byte = jpeg.fill_buf()?.first().copied();
+    jpeg.consume(usize::from(byte.is_some()));
+    Ok(byte)
 }
 
 /// Writes an image of 1, 3 or 4 channels as an 8-bit PNG.
@@ -304,6 +372,35 @@ mod tests {
         for cut in 0..bytes.len() {
             assert!(decode_rgba8(&bytes[..cut], "t.jpg", &Limits::default()).is_err(), "{cut}");
         }
+        // A video behind the image, with what would be a scan of a JPEG.
+        let more = [&bytes[..], &[0, 0, 0, 24, 0xff, 0xda, 0xff, 0x00]].concat();
+        assert_eq!(decode_image(&more, "t.jpg", &Limits::default()).unwrap(), image);
+    }
+
+    /// A progressive file of 8x8 grey pixels in six scans, with tables between them.
+    const PROGRESSIVE: &str = "ffd8ffe000104a46494600010100000100010000ffdb0043001b12141714111b1716171e1c1b2028422b28\
+        252528513a3d3042605565645f555d5b6a7899816a7190735b5d85b586909ea3abadab6780bcc9baa6c799a8aba4ffc2000b08000800080\
+        1011100ffc40014000100000000000000000000000000000002ffda00080101000000011fffc40015100101000000000000000000000000\
+        00000003ffda000801010001050283ffc40014100100000000000000000000000000000000ffda0008010100063f027fffc400161000030\
+        000000000000000000000000000000131ffda0008010100013f21587fffda0008010100000010ff00ffc400141001000000000000000000\
+        00000000000000ffda0008010100013f100fffd9";
+
+    #[test]
+    fn a_jpeg_of_several_scans_ends_after_the_last() {
+        let byte = |k: usize| u8::from_str_radix(&PROGRESSIVE[2 * k..2 * k + 2], 16).unwrap();
+        let bytes: Vec<u8> = (0..PROGRESSIVE.len() / 2).map(byte).collect();
+        let image = decode_rgba8(&bytes, "t.jpg", &Limits::default()).unwrap();
+        assert!((image.width, image.height) == (8, 8) && image.data[0] < 30 && image.data[7 * 4] > 180);
+        for cut in 0..bytes.len() {
+            assert!(decode_rgba8(&bytes[..cut], "t.jpg", &Limits::default()).is_err(), "{cut}");
+        }
+        // Restart markers and repeated FF in a scan end nothing, nor does the end of a thumbnail in a segment.
+        let scan = [&[0xff, 0xd8, 0xff, 0xe1, 0, 4, 0xff, 0xd9, 0xff, 0xda, 0, 2][..], &[7, 0xff, 0xd0, 8, 0xff, 0xff]]
+            .concat();
+        let ends = |bytes: &[u8]| jpeg_ends(&mut &*bytes).unwrap();
+        assert!(ends(&[&scan[..], &[0xd9]].concat()));
+        assert!(!ends(&scan) && !ends(&[&scan[..], &[0xd8, 0xff, 0xd9]].concat()), "another image is not its end");
+        assert!(!ends(&[0xff, 0xd8, 0xff, 0xd9]), "no scan");
     }
 
     #[test]

@@ -172,14 +172,18 @@ impl AvatarScene {
     /// Those of [`ImageCache::get`] and [`ImageCache::mask`].
     pub fn input_pixels(view: &View, cache: &ImageCache) -> Result<Arc<ImageU8>, DataError> {
         let image = cache.get(view)?;
-        let Some(mask) = cache.mask(view)? else { return Ok(image) };
+        if view.mask.is_none() {
+            return Ok(image);
+        }
+        // The alpha of a view that is cut out has its mask already.
+        let mask = if view.cut_out { None } else { cache.mask(view)? };
         let mut cut = Arc::unwrap_or_clone(image);
-        for (pixel, m) in cut.data.chunks_exact_mut(4).zip(&mask.data) {
-            pixel[3] = cast::to_u8((f32::from(pixel[3]) * m).round());
-            if pixel[3] == 0 {
-                pixel[..3].fill(0);
+        if let Some(mask) = mask {
+            for (pixel, m) in cut.data.chunks_exact_mut(4).zip(&mask.data) {
+                pixel[3] = cast::to_u8((f32::from(pixel[3]) * m).round());
             }
         }
+        cut.data.chunks_exact_mut(4).filter(|pixel| pixel[3] == 0).for_each(|pixel| pixel[..3].fill(0));
         Ok(Arc::new(cut))
     }
 

@@ -2,21 +2,24 @@
 //!
 //! Top level `camera_angle_x` (horizontal field of view, radians); per frame `file_path` (with or without extension),
 //! `transform_matrix` (camera to world, OpenGL axes) and, for moving scenes, `time`, which D-NeRF keeps in 0..1. The
-//! principal point is the centre, pixels are square: `f = W / (2 tan(angle / 2))`. `val` and `test` may be absent. Views of one
-//! pose are of one camera.
+//! principal point is the centre, pixels are square: `f = W / (2 tan(angle / 2))`. Where the file or a frame states more, the
+//! intrinsics and the lens are read as those of [`super::nerfstudio`]. `val` and `test` may be absent. Views of one pose are of
+//! one camera.
 //!
 //! Folders whose test views are all later than the training views, or whose `scene.toml` states a boundary, are read by [`super::nvfi`].
 
 use std::path::Path;
 
-use glam::{DMat4, DVec2, Vec3};
+use glam::Vec3;
 use gs_core::{Camera, Time, cast};
 
 use super::error::{DataError, Place};
 use super::files::{Root, read_text};
 use super::frames::{Listed, locate, name_views, share_cameras, with_headers};
 use super::header::ImageHeader;
+use super::intrinsics::{Adjusted, PartialIntrinsics};
 use super::json::{Document, Fields, MAX_JSON_BYTES, quote_non_finite};
+use super::lens::Lens;
 use super::options::{DataOptions, TimeRange};
 use super::pose::{Pose, from_opengl};
 use super::times::{Draft, Drafts, settle};
@@ -79,9 +82,24 @@ struct SplitRead {
 /// Fields of a frame beside its image.
 pub(super) struct Frame {
     pub(super) pose: Pose,
+    pub(super) stated: PartialIntrinsics,
     pub(super) time: Option<f64>,
     pub(super) time_place: Place,
     pub(super) place: Place,
+}
+
+impl Frame {
+    /// Camera and lens of the frame's image, counted.
+    pub(super) fn camera(
+        &self,
+        header: &ImageHeader,
+        file: &Path,
+        options: &DataOptions,
+        adjusted: &mut Adjusted,
+    ) -> Result<(Camera, Option<Lens>), DataError> {
+        let intrinsics = self.stated.complete(header, &self.place)?;
+        adjusted.fit(&intrinsics, header, file, &self.pose, &self.place, options.undistort)
+    }
 }
 
 fn read_split(
@@ -93,46 +111,40 @@ fn read_split(
     let text = read_text(file, MAX_JSON_BYTES)?;
     let text = quote_non_finite(&text);
     let document = Document::parse(file, &text)?;
-    let angle = field_of_view(&document.top())?;
-    let frame = |i| read_frame(root, &document.frame(i)?, "file_path");
+    let shared = PartialIntrinsics::shared(&document.top())?;
+    let frame = |i| read_frame(root, &document.frame(i)?, "file_path", &shared);
     let frames = (0..document.len()).map(frame).collect::<Result<Vec<_>, _>>()?;
     let frames = with_headers(file, frames, options, notes)?;
     let has_alpha = frames.iter().any(|(_, h)| h.has_alpha);
     let shown: Vec<_> = frames.iter().map(|(f, _)| f.shown.clone()).collect();
-    let draft = |(k, (listed, header)): (usize, (Listed<Frame>, ImageHeader))| {
+    let mut adjusted = Adjusted::default();
+    let mut drafts = Vec::with_capacity(frames.len());
+    for (k, (listed, header)) in frames.into_iter().enumerate() {
         let frame = listed.rest;
-        let camera = pinhole(&header, angle, &frame.pose, &frame.place)?;
-        let view = View::new("", camera, Time::default(), ImageSource::File(listed.path), cast::to_u32(k));
-        Ok(Draft { view, stated: frame.time, place: frame.time_place })
-    };
-    let mut drafts = frames.into_iter().enumerate().map(draft).collect::<Result<Vec<_>, DataError>>()?;
+        let (camera, lens) = frame.camera(&header, &listed.path, options, &mut adjusted)?;
+        let mut view = View::new("", camera, Time::default(), ImageSource::File(listed.path), cast::to_u32(k));
+        view.lens = lens;
+        drafts.push(Draft { view, stated: frame.time, place: frame.time_place });
+    }
+    notes.extend(adjusted.notes());
     name_views(&mut drafts, &shown);
     Ok(SplitRead { drafts, has_alpha })
 }
 
-pub(super) fn field_of_view(top: &Fields) -> Result<f64, DataError> {
-    let (why, fix) = ("the horizontal field of view in radians lies between 0 and pi", "correct camera_angle_x");
-    match top.number("camera_angle_x")? {
-        None => Err(top.fault("camera_angle_x", "missing", why, fix)),
-        Some(a) if a > 0.0 && a < std::f64::consts::PI => Ok(a),
-        Some(a) => Err(top.fault("camera_angle_x", &a.to_string(), why, fix)),
-    }
-}
-
-/// Reads a frame whose image is named in the field `image`.
-pub(super) fn read_frame(root: &Root, frame: &Fields, image: &str) -> Result<Listed<Frame>, DataError> {
+/// Reads a frame whose image is named in the field `image`; `shared` are the intrinsics of all frames.
+pub(super) fn read_frame(
+    root: &Root,
+    frame: &Fields,
+    image: &str,
+    shared: &PartialIntrinsics,
+) -> Result<Listed<Frame>, DataError> {
     let (shown, path) = locate(root, frame.required_text(image)?, &frame.place(image))?;
-    let place = frame.place("transform_matrix");
-    let pose = from_opengl(&frame.matrix("transform_matrix")?, &place)?;
-    let rest = Frame { pose, time: frame.number("time")?, time_place: frame.place("time"), place };
+    let rest = Frame {
+        pose: from_opengl(&frame.matrix("transform_matrix")?, &frame.place("transform_matrix"))?,
+        stated: PartialIntrinsics::of_frame(frame, shared)?,
+        time: frame.number("time")?,
+        time_place: frame.place("time"),
+        place: frame.place(""),
+    };
     Ok(Listed { shown, path, rest })
-}
-
-pub(super) fn pinhole(header: &ImageHeader, angle: f64, pose: &Pose, place: &Place) -> Result<Camera, DataError> {
-    let (w, h) = (f64::from(header.width), f64::from(header.height));
-    let f = 0.5 * w / (0.5 * angle).tan();
-    let mut viewmat = DMat4::from_mat3(pose.rotation);
-    viewmat.w_axis = pose.translation.extend(1.0);
-    Camera::from_viewmat(header.width, header.height, DVec2::splat(f), DVec2::new(0.5 * w, 0.5 * h), viewmat)
-        .map_err(|e| DataError::camera(place, &e))
 }

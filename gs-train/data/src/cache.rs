@@ -70,11 +70,12 @@ struct Entry {
     last_use: Option<u64>,
 }
 
-/// What the pixels depend on: file or address, the bits of camera and lens where it is resampled, and whether alpha and the mask count.
+/// What the pixels depend on: file or address, size, the bits of camera and lens where it is resampled, and whether alpha and the mask count.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 struct Key {
     file: PathBuf,
     memory: usize,
+    size: [u32; 2],
     bits: [u64; 12],
     opaque: bool,
     cut_out: bool,
@@ -226,6 +227,9 @@ impl ImageCache {
         }
         if let Some(lens) = &v.lens {
             image = undistorted(&image, &v.camera, lens);
+            if v.cut_out && v.mask.is_some() {
+                mask::clear_outside(&mut image, v);
+            }
         }
         if self.scale < 1.0 {
             let c = self.camera(v);
@@ -292,7 +296,8 @@ fn key_of(v: &View) -> Key {
         let values = [c.fx, c.fy, c.cx, c.cy].into_iter().chain(lens.to_array());
         bits.iter_mut().zip(values).for_each(|(b, value)| *b = value.to_bits());
     }
-    Key { bits, opaque: v.opaque, cut_out: v.cut_out, ..Key::default() }
+    let size = [v.camera.width, v.camera.height];
+    Key { size, bits, opaque: v.opaque, cut_out: v.cut_out, ..Key::default() }
 }
 
 /// Width and height that the stored image of a view has.
@@ -406,6 +411,22 @@ mod tests {
         let image = Arc::new(ImageU8 { width: 2, height: 1, data: vec![0; 8] });
         let e = ImageCache::new(0, 1.0).get(&view(ImageSource::Memory(image), 2, 2)).unwrap_err();
         assert_eq!((e.code(), e.to_string().as_str()), ("data.image_size", "v is 2x1, its camera is 2x2"));
+    }
+
+    #[test]
+    fn views_of_other_sizes_have_masks_and_depth_of_their_own() {
+        let dir = tempfile::tempdir().unwrap();
+        let (mask, depth) = (dir.path().join("mask.png"), dir.path().join("depth.png"));
+        image::GrayImage::new(8, 4).save(&mask).unwrap();
+        image::ImageBuffer::<image::Luma<u16>, Vec<u16>>::new(8, 4).save(&depth).unwrap();
+        let cache = ImageCache::new(1 << 20, 1.0);
+        for (width, height) in [(8, 4), (4, 2)] {
+            let mut v = view(ImageSource::Memory(Arc::default()), width, height);
+            (v.mask, v.depth) = (Some(ImageSource::File(mask.clone())), Some(crate::DepthMap::new(depth.clone())));
+            let want = (width as usize, height as usize, 1);
+            assert_eq!(cache.mask(&v).unwrap().unwrap().shape(), want);
+            assert_eq!(cache.depth(&v).unwrap().unwrap().shape(), want);
+        }
     }
 
     #[test]

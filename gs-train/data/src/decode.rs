@@ -1,11 +1,12 @@
 //! PNG and JPEG to 8-bit RGBA under a memory limit, in one buffer.
 
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufReader, Seek};
 use std::path::Path;
 
 use gs_core::camera::MAX_SIDE;
 use gs_core::cast;
+use gs_core::io::images::jpeg_ends;
 use image::codecs::{jpeg::JpegDecoder, png::PngDecoder};
 use image::metadata::Orientation;
 use image::{ColorType, ImageDecoder, Limits};
@@ -34,19 +35,45 @@ const BYTES_PER_FILE_BYTE: u64 = 8;
 /// ```
 ///
 /// # Errors
-/// `data.image` if the file is damaged or neither PNG nor JPEG, `limits.file` beyond the limit, `io.read` if it cannot be read.
+/// `data.image` if the file is damaged, cut or neither PNG nor JPEG, `limits.file` beyond the limit, `io.read` if it cannot be read.
 pub fn decode(file: &Path, max_bytes: Option<u64>) -> Result<ImageU8, DataError> {
     let header = header::read(file)?;
-    let (reader, limits, limit) = limited(file, &header, max_bytes)?;
+    let (mut reader, limits, limit) = limited(file, &header, max_bytes)?;
     let failed = |e: image::ImageError| DataError::decode(file, e);
     match header.format {
         Format::Png => rgba(file, PngDecoder::with_limits(reader, limits).map_err(failed)?, limit),
         Format::Jpeg => {
+            check_end(file, &mut reader)?;
             let mut decoder = JpegDecoder::new(reader).map_err(failed)?;
             decoder.set_limits(limits).map_err(failed)?;
             rgba(file, decoder, limit)
         }
     }
+}
+
+/// Width and height of a PNG or JPEG file as it is stored, by its header alone: an image of any size is read.
+///
+/// ```
+/// # let folder = tempfile::tempdir()?;
+/// let file = folder.path().join("grey.png");
+/// image::GrayImage::new(3, 2).save(&file)?;
+/// assert_eq!(gs_data::decode::stored_size(&file)?, [3, 2]);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// `data.image` if it is neither PNG nor JPEG or ends before its size is known, `io.read` if it cannot be read.
+pub fn stored_size(file: &Path) -> Result<[u32; 2], DataError> {
+    header::read(file).map(|h| [h.width, h.height])
+}
+
+/// Refuses a JPEG that was cut: its decoder would fill what is missing with grey. Leaves the reader at the beginning.
+fn check_end(file: &Path, reader: &mut BufReader<File>) -> Result<(), DataError> {
+    let failed = |e| DataError::read(file, e);
+    if !jpeg_ends(reader).map_err(failed)? {
+        return Err(DataError::decode(file, "it was cut: there is no end marker after its last scan"));
+    }
+    reader.rewind().map_err(failed)
 }
 
 /// The EXIF orientation of an image whose sides change places by it; none where there is none, or it keeps them.
@@ -212,6 +239,26 @@ mod tests {
     }
 
     #[test]
+    fn a_jpeg_that_was_cut_is_refused_at_every_byte_and_more_behind_it_is_not() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("a.jpg");
+        image::RgbImage::from_fn(16, 8, |x, _| image::Rgb([x as u8 * 15; 3])).save(&file).unwrap();
+        let (whole, picture) = (std::fs::read(&file).unwrap(), decode(&file, None).unwrap());
+        // A new file each time: truncating one in place makes some file systems wait for the disk.
+        let written = |name: String, bytes: &[u8]| {
+            let file = dir.path().join(name);
+            std::fs::write(&file, bytes).unwrap();
+            decode(&file, None)
+        };
+        for cut in 0..whole.len() {
+            let e = written(format!("{cut}.jpg"), &whole[..cut]).unwrap_err();
+            assert_eq!(e.code(), "data.image", "{cut} of {} bytes: {e}", whole.len());
+        }
+        let more = [&whole[..], &[0, 0xff, 0xda, 0xff, 0x00]].concat();
+        assert_eq!(written("more.jpg".into(), &more).unwrap(), picture);
+    }
+
+    #[test]
     fn limits_come_before_allocation() {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("a.png");
@@ -234,6 +281,7 @@ mod tests {
         jpeg[frame + 5..frame + 9].copy_from_slice(&[4000u16, 8000].map(u16::to_be_bytes).concat());
         std::fs::write(&file, jpeg).unwrap();
         assert_eq!(decode(&file, None).unwrap_err().code(), "limits.file");
+        assert_eq!(stored_size(&file).unwrap(), [8000, 4000]);
         assert_eq!(quarter_turn(&file), Some(Orientation::Rotate90));
     }
 }

@@ -411,6 +411,12 @@ impl DataError {
         }
     }
 
+    /// [`Self::Field`] for a value at the position `at` of a file that another program writes; a long one is cut.
+    pub(crate) fn unexpected(file: &Path, at: &str, value: &str, why: &'static str) -> Self {
+        let value = value.chars().take(80).collect();
+        Self::Field { place: Place::new(file, at), value, why, fix: "export the file again" }
+    }
+
     /// [`Self::Syntax`] at the position `at` of a file.
     pub fn syntax(file: &Path, at: impl Into<String>, message: impl Into<String>) -> Self {
         Self::Syntax { place: Place::new(file, at), message: message.into() }

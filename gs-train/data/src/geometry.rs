@@ -1,7 +1,7 @@
 //! Extent of the cameras and bounds of the scene.
 
 use glam::{DMat3, DVec3, Vec3};
-use gs_core::cast;
+use gs_core::{Camera, cast};
 use rayon::prelude::*;
 
 use super::{Dataset, View};
@@ -85,14 +85,20 @@ fn around_points(points: &[Vec3]) -> [Vec3; 2] {
 /// assert!(focus(&views).abs_diff_eq(target, 1e-12));
 /// ```
 pub fn focus(views: &[View]) -> DVec3 {
-    let (mut a, mut b, mut mean) = (DMat3::ZERO, DVec3::ZERO, DVec3::ZERO);
-    for v in views {
-        let (c, d) = (v.camera.position(), v.camera.forward());
+    let mean = || views.iter().map(|v| v.camera.position()).sum::<DVec3>() / views.len().max(1) as f64;
+    near_axes(views.iter().map(|v| &v.camera), 1e-6).unwrap_or_else(mean)
+}
+
+/// The point nearest to the optical axes of cameras, as [`focus`]. None where these are nearly parallel: `det(Σ (I − d dᵀ) / n)`, 0 for
+/// parallel axes and 0.25 for two at right angles, is at most `least`.
+pub fn near_axes<'a>(cameras: impl IntoIterator<Item = &'a Camera>, least: f64) -> Option<DVec3> {
+    let (mut a, mut b, mut n) = (DMat3::ZERO, DVec3::ZERO, 0.0f64);
+    for camera in cameras {
+        let (c, d) = (camera.position(), camera.forward());
         let p = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);
         a += p;
         b += p * c;
-        mean += c;
+        n += 1.0;
     }
-    let n = views.len().max(1) as f64;
-    if a.determinant().abs() > 1e-6 * n.powi(3) { a.inverse() * b } else { mean / n }
+    (a.determinant().abs() > least * n.max(1.0).powi(3)).then(|| a.inverse() * b)
 }

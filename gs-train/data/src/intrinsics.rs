@@ -6,6 +6,7 @@ use gs_core::{Camera, cast};
 use super::decode::quarter_turn;
 use super::error::{DataError, Place};
 use super::header::ImageHeader;
+use super::json::Fields;
 use super::lens::Lens;
 use super::pose::Pose;
 
@@ -91,6 +92,125 @@ impl Intrinsics {
     }
 }
 
+/// The intrinsics that an object of a `transforms*.json` states, each optional.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct PartialIntrinsics {
+    fl: [Option<f64>; 2],
+    angle: [Option<f64>; 2],
+    principal: [Option<f64>; 2],
+    size: [Option<f64>; 2],
+    /// `k1 k2 k3 p1 p2 k4`.
+    lens: [Option<f64>; 6],
+    fisheye: bool,
+}
+
+impl PartialIntrinsics {
+    /// Those of all frames. Camera models other than pinhole, OpenCV's and its fisheye are refused.
+    ///
+    /// # Errors
+    /// `data.camera_model`, `data.field`.
+    pub(crate) fn shared(top: &Fields) -> Result<Self, DataError> {
+        let fisheye = match top.text("camera_model")? {
+            None | Some("OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "PERSPECTIVE") => false,
+            Some("OPENCV_FISHEYE") => true,
+            Some(other) => {
+                return Err(DataError::CameraModel { place: top.place("camera_model"), model: other.into() });
+            }
+        };
+        Self::read(top, fisheye)
+    }
+
+    /// Those of a frame, else the shared ones.
+    ///
+    /// # Errors
+    /// `data.camera_model`, `data.field`.
+    pub(crate) fn of_frame(frame: &Fields, shared: &Self) -> Result<Self, DataError> {
+        fn first<const N: usize>(own: [Option<f64>; N], shared: [Option<f64>; N]) -> [Option<f64>; N] {
+            std::array::from_fn(|k| own[k].or(shared[k]))
+        }
+        let own = Self::read(frame, shared.fisheye)?;
+        Ok(Self {
+            fl: first(own.fl, shared.fl),
+            angle: first(own.angle, shared.angle),
+            principal: first(own.principal, shared.principal),
+            size: first(own.size, shared.size),
+            lens: first(own.lens, shared.lens),
+            fisheye: own.fisheye,
+        })
+    }
+
+    fn read(o: &Fields, fisheye: bool) -> Result<Self, DataError> {
+        // What instant-ngp's scripts write beside the model.
+        let fisheye = fisheye || o.flag("is_fisheye")?;
+        let n = |key| o.number(key);
+        let pair = |a, b| Ok::<_, DataError>([n(a)?, n(b)?]);
+        let foreign: &[&'static str] = if fisheye { &["k5", "k6", "p1", "p2"] } else { &["k4", "k5", "k6"] };
+        for key in foreign {
+            if let Some(v) = o.number(key)?.filter(|&v| v != 0.0) {
+                return Err(DataError::CameraModel { place: o.place(key), model: format!("with {key} = {v}") });
+            }
+        }
+        let stated = Self {
+            fl: pair("fl_x", "fl_y")?,
+            angle: pair("camera_angle_x", "camera_angle_y")?,
+            principal: pair("cx", "cy")?,
+            size: pair("w", "h")?,
+            lens: [n("k1")?, n("k2")?, n("k3")?, n("p1")?, n("p2")?, n("k4")?],
+            fisheye,
+        };
+        let positive = "it must be positive";
+        for (value, key) in stated.size.iter().chain(&stated.fl).zip(["w", "h", "fl_x", "fl_y"]) {
+            if let Some(v) = value.filter(|&v| v <= 0.0) {
+                return Err(o.fault(key, &v.to_string(), positive, "correct the number"));
+            }
+        }
+        for (value, key) in stated.angle.iter().zip(["camera_angle_x", "camera_angle_y"]) {
+            if let Some(v) = value.filter(|v| !(*v > 0.0 && *v < std::f64::consts::PI)) {
+                return Err(o.fault(
+                    key,
+                    &v.to_string(),
+                    "a field of view lies between 0 and pi",
+                    "correct the number",
+                ));
+            }
+        }
+        Ok(stated)
+    }
+
+    /// Whether the focal length or the principal point is in pixels of an image whose size is not stated.
+    pub(crate) fn counts_pixels_of_no_size(&self) -> bool {
+        self.size.contains(&None) && self.fl.iter().chain(&self.principal).any(Option::is_some)
+    }
+
+    /// Missing sizes are the image's, a missing principal point is the centre, a missing focal length comes from the field
+    /// of view, a missing second one equals the first.
+    ///
+    /// # Errors
+    /// `data.field` if there is neither a focal length nor a field of view.
+    pub(crate) fn complete(&self, header: &ImageHeader, place: &Place) -> Result<Intrinsics, DataError> {
+        let image = [f64::from(header.width), f64::from(header.height)];
+        let size = [0, 1].map(|k| self.size[k].unwrap_or(image[k]));
+        let from_angle = |k: usize| self.angle[k].map(|a: f64| 0.5 * size[k] / (0.5 * a).tan());
+        let focal = [0, 1].map(|k| self.fl[k].or(from_angle(k)));
+        let (Some(fx), Some(fy)) = (focal[0].or(focal[1]), focal[1].or(focal[0])) else {
+            return Err(DataError::Field {
+                place: place.clone(),
+                value: "without focal length".into(),
+                why: "neither fl_x nor camera_angle_x is given, for all frames or for this one",
+                fix: "add fl_x, fl_y, cx, cy, w and h",
+            });
+        };
+        let principal = [0, 1].map(|k| self.principal[k].unwrap_or(0.5 * size[k]));
+        let [k1, k2, k3, p1, p2, k4] = self.lens.map(Option::unwrap_or_default);
+        Ok(Intrinsics {
+            size: size.into(),
+            focal: DVec2::new(fx, fy),
+            principal: principal.into(),
+            lens: Lens { fisheye: self.fisheye, k1, k2, k3, k4, p1, p2, skew: 0.0 },
+        })
+    }
+}
+
 /// Counts of rescaled and undistorted views, for the notes of a data set.
 #[derive(Default)]
 pub(crate) struct Adjusted {
@@ -102,8 +222,26 @@ pub(crate) struct Adjusted {
 }
 
 impl Adjusted {
-    /// Counts one view.
-    pub(crate) fn count(&mut self, intrinsics: &Intrinsics, camera: &Camera, fitted: Fitted, lens: Option<&Lens>) {
+    /// Camera and lens of an image, counted.
+    ///
+    /// # Errors
+    /// Those of [`Intrinsics::camera`] and [`Intrinsics::lens`].
+    pub(crate) fn fit(
+        &mut self,
+        intrinsics: &Intrinsics,
+        header: &ImageHeader,
+        file: &std::path::Path,
+        pose: &Pose,
+        place: &Place,
+        undistort: bool,
+    ) -> Result<(Camera, Option<Lens>), DataError> {
+        let (camera, fitted) = intrinsics.camera(header, file, pose, place)?;
+        let lens = intrinsics.lens(undistort, place)?;
+        self.count(intrinsics, &camera, fitted, lens.as_ref());
+        Ok((camera, lens))
+    }
+
+    fn count(&mut self, intrinsics: &Intrinsics, camera: &Camera, fitted: Fitted, lens: Option<&Lens>) {
         self.turned += usize::from(fitted.turned);
         if fitted.rescaled {
             self.rescaled += 1;

@@ -163,16 +163,54 @@ impl<'de> Visitor<'de> for TopVisitor {
                 "train_filenames" | "val_filenames" | "test_filenames" if lists.len() < 3 => {
                     lists.push((key, map.next_value_seed(List(self.max_frames))?));
                 }
-                _ => {
-                    let raw: &RawValue = map.next_value()?;
-                    if raw.get().len() <= MAX_FIELD_BYTES && key.len() <= MAX_FIELD_BYTES && top.len() < MAX_FIELDS {
-                        top.insert(key, serde_json::from_str(raw.get()).map_err(A::Error::custom)?);
-                    }
-                }
+                _ => keep_small::<A::Error>(&mut top, key, map.next_value()?)?,
             }
         }
         let frames = frames.ok_or_else(|| A::Error::custom("there is no list \"frames\""))?;
         Ok((top, frames, lists))
+    }
+}
+
+/// Parses a field and keeps it, if it is small and not too many are kept.
+fn keep_small<E: serde::de::Error>(fields: &mut Map<String, Value>, key: String, raw: &RawValue) -> Result<(), E> {
+    if raw.get().len() <= MAX_FIELD_BYTES && key.len() <= MAX_FIELD_BYTES && fields.len() < MAX_FIELDS {
+        fields.insert(key, serde_json::from_str(raw.get()).map_err(E::custom)?);
+    }
+    Ok(())
+}
+
+/// The field `large` of an object as a slice of its text, if it is there, and those of its other fields that are small.
+///
+/// # Errors
+/// If the text is no object, or has the field twice.
+pub(crate) fn with_large<'a>(text: &'a str, large: &str) -> serde_json::Result<WithLarge<'a>> {
+    let mut json = serde_json::Deserializer::from_str(text);
+    json.deserialize_map(LargeVisitor(large)).and_then(|found| json.end().map(|()| found))
+}
+
+/// A large field, and small ones.
+type WithLarge<'a> = (Option<&'a RawValue>, Map<String, Value>);
+
+/// Visitor of an object with a large field of this name.
+struct LargeVisitor<'k>(&'k str);
+
+impl<'de> Visitor<'de> for LargeVisitor<'_> {
+    type Value = WithLarge<'de>;
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str("an object")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<WithLarge<'de>, A::Error> {
+        let (mut large, mut fields) = (None, Map::new());
+        while let Some(key) = map.next_key::<String>()? {
+            if key != self.0 {
+                keep_small::<A::Error>(&mut fields, key, map.next_value()?)?;
+            } else if large.replace(map.next_value()?).is_some() {
+                return Err(A::Error::custom(format!("\"{key}\" appears twice")));
+            }
+        }
+        Ok((large, fields))
     }
 }
 

@@ -29,13 +29,17 @@
 //!
 //! # Conventions
 //! * Cameras are those of [`gs_core`]: world to camera, OpenCV axes. Readers flip the y and z axes of OpenGL camera-to-world matrices.
-//! * [`Time::normalised`](gs_core::Time) is 0 at the first training time and 1 at the last. With `data.time_boundary` it is 0 at the first
-//!   and 1 at the last time of the whole sequence, and training ends at the boundary. [`Time::seconds`](gs_core::Time) is the data's own clock.
+//! * [`Time::normalised`](gs_core::Time) is 0 at the first training time that is read and 1 at the last, unless `data.time_range` sets
+//!   the span or the layout has one of its own: rigs of `llff` put frame `k` of `n` at `k/n`, `nvidia` puts image `k` of `n` at `k/(n−1)`,
+//!   `hypernerf` divides by the largest id of all lists, `nvfi` takes times as they stand. There `data.first_frame` and
+//!   `data.frame_count` train on a slice of 0..1. With `data.time_boundary` 0 and 1 are the ends of the whole sequence that is read (of
+//!   the range or the layout's span, where there is one), and training ends at the boundary. With `data.time_from=name` or `order`
+//!   layouts but `llff` (`order`) have no span of their own. [`Time::seconds`](gs_core::Time) is the data's own clock.
 //! * [`View::camera`] has the size of the image file, or that size times `data.scale`. An [`ImageCache`] with a scale of
 //!   its own gives the smaller camera.
 //! * Images are 8-bit RGBA with straight alpha, display-encoded, row-major, origin top left ([`ImageU8`]).
 //! * [`View::mask`] says which pixels count in masked scores. Training uses all pixels, unless `data.cut_out`
-//!   makes those outside the mask transparent or `data.mask_loss` leaves them out of the loss.
+//!   makes those outside the mask transparent (in films of people they always are) or `data.mask_loss` leaves them out of the loss.
 //! * Paths inside the data stay inside the folder; no allocation trusts a size that only a header states.
 //! * Every assumption a reader makes is a line in [`Dataset::notes`]. Every error names file, field, reason and remedy ([`DataError`]).
 //!

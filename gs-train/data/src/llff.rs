@@ -93,7 +93,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
         return Err(DataError::Empty { file });
     }
     let settled = settle(drafts, &clock(options, frames, fps, &mut notes), None)?;
-    let points = points(&root, &mut notes)?;
+    let points = ply::initial_points(&root, POINTS, &mut notes)?;
     let depths = |v: &View| rows[v.camera_id as usize].depths;
     let seen = || frustum::bounds(settled.train.iter().map(|v| (&v.camera, depths(v))));
     let bounds = if points.is_none() { seen() } else { None };
@@ -280,8 +280,7 @@ fn drafts(
     let mut drafts = Vec::with_capacity(listed.len());
     for (listed, header) in listed {
         let (shot, row) = (&listed.rest, &rows[listed.rest.row]);
-        let (camera, fitted) = row.intrinsics.camera(&header, &listed.path, &row.pose, &row.place)?;
-        adjusted.count(&row.intrinsics, &camera, fitted, None);
+        let (camera, _) = adjusted.fit(&row.intrinsics, &header, &listed.path, &row.pose, &row.place, true)?;
         let view = View::new("", camera, Time::default(), ImageSource::File(listed.path), cast::to_u32(shot.row));
         drafts.push(Draft { view, stated: fps.map(|rate| shot.frame as f64 / rate), place: row.place.clone() });
     }
@@ -324,13 +323,4 @@ fn clock(options: &DataOptions, frames: usize, fps: f64, notes: &mut Vec<String>
     let time_range = options.time_range.or(Some(whole));
     // Frames are numbered by the order of their names already.
     DataOptions { time_from: TimeFrom::File, time_range, ..options.clone() }
-}
-
-fn points(root: &Root, notes: &mut Vec<String>) -> Result<Option<super::PointCloud>, DataError> {
-    let file = root.resolve(POINTS, &Place::new(root.dir(), POINTS))?;
-    if !file.is_file() {
-        return Ok(None);
-    }
-    notes.push(format!("initial points come from {POINTS}"));
-    ply::read_points(&file).map(Some)
 }

@@ -54,6 +54,16 @@ pub(crate) fn cut(image: &mut ImageU8, mask: &ImageU8) {
     }
 }
 
+/// Makes the pixels transparent that a lens shows outside the stored image. `image` has the size of the view's camera.
+pub(crate) fn clear_outside(image: &mut ImageU8, v: &View) {
+    let seen = nearest([image.width, image.height], v, &v.camera);
+    for (pixel, seen) in image.data.chunks_exact_mut(4).zip(seen) {
+        if seen.is_none() {
+            pixel.fill(0);
+        }
+    }
+}
+
 /// `a b / 255`, rounded down.
 #[expect(clippy::cast_possible_truncation, reason = "255 · 255 / 255 is 255")]
 fn product(a: u8, b: u8) -> u8 {
@@ -152,6 +162,19 @@ mod tests {
             let seen = v.lens.unwrap().source_pixel(&v.camera, DVec2::new(i as f64 + 0.5, 40.5));
             assert_eq!(w.pixel(i, 40)[0] == 1.0, seen.x >= 0.0 && seen.x < 70.0, "column {i}");
         }
+    }
+
+    #[test]
+    fn what_a_lens_shows_outside_the_image_is_cut_out_with_it() {
+        let mut v = view(100, 80, mask(100, 80, 100));
+        v.image = ImageSource::Memory(Arc::new(ImageU8 { width: 100, height: 80, data: vec![255; 100 * 80 * 4] }));
+        (v.lens, v.cut_out) = (Some(Lens { k1: 0.5, ..Lens::default() }), true);
+        let cache = ImageCache::new(0, 1.0);
+        let (image, weights) = (cache.get(&v).unwrap(), cache.mask(&v).unwrap().unwrap());
+        assert!(image.alpha().data == weights.data, "the mask is white, so alpha is where the image is");
+        assert_eq!((image.pixel(50, 40), image.pixel(0, 0)), ([255; 4], [0; 4]));
+        v.cut_out = false;
+        assert_eq!(cache.get(&v).unwrap().pixel(0, 0), [255; 4], "unasked, the edge is repeated");
     }
 
     #[test]

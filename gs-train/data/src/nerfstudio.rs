@@ -13,16 +13,14 @@
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-use glam::DVec2;
 use gs_core::{Time, cast};
 
 use super::error::{DataError, Place};
 use super::files::{Root, read_text};
 use super::frames::{Listed, locate, name_views, share_cameras, with_headers};
 use super::header::ImageHeader;
-use super::intrinsics::{Adjusted, Intrinsics, hold_out, hold_out_note};
+use super::intrinsics::{Adjusted, PartialIntrinsics, hold_out, hold_out_note};
 use super::json::{Document, Fields, MAX_JSON_BYTES, quote_non_finite, whole};
-use super::lens::Lens;
 use super::options::DataOptions;
 use super::pose::{Pose, from_opengl};
 use super::times::{Draft, Drafts, settle};
@@ -64,8 +62,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let text = read_text(&file, MAX_JSON_BYTES)?;
     let text = quote_non_finite(&text);
     let document = Document::parse(&file, &text)?;
-    let fisheye = is_fisheye(&document.top())?;
-    let shared = PartialIntrinsics::read(&document.top(), fisheye)?;
+    let shared = PartialIntrinsics::shared(&document.top())?;
     let unit = depth_unit(&document.top())?;
     let images = options.images.as_deref();
     let frames = (0..document.len())
@@ -89,15 +86,6 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     Ok(Dataset { points: points(&root, &document.top())?, ..settled.dataset(dir, LAYOUT.name, has_alpha, notes) })
 }
 
-/// Whether the camera model is OpenCV's fisheye; others than that, pinhole and OpenCV are refused.
-fn is_fisheye(top: &Fields) -> Result<bool, DataError> {
-    match top.text("camera_model")? {
-        None | Some("OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "PERSPECTIVE") => Ok(false),
-        Some("OPENCV_FISHEYE") => Ok(true),
-        Some(other) => Err(DataError::CameraModel { place: top.place("camera_model"), model: other.into() }),
-    }
-}
-
 /// World units per unit of depth maps: millimetres, as nerfstudio takes them, unless the file says otherwise.
 fn depth_unit(top: &Fields) -> Result<f64, DataError> {
     let key = "depth_unit_scale_factor";
@@ -106,103 +94,6 @@ fn depth_unit(top: &Fields) -> Result<f64, DataError> {
         unit => {
             Err(top.fault(key, &unit.to_string(), "depth is measured in it", "state world units per unit of the files"))
         }
-    }
-}
-
-/// The intrinsics that an object states, each optional.
-#[derive(Clone, Copy, Default)]
-struct PartialIntrinsics {
-    fl: [Option<f64>; 2],
-    angle: [Option<f64>; 2],
-    principal: [Option<f64>; 2],
-    size: [Option<f64>; 2],
-    /// `k1 k2 k3 p1 p2 k4`.
-    lens: [Option<f64>; 6],
-    fisheye: bool,
-}
-
-impl PartialIntrinsics {
-    fn read(o: &Fields, fisheye: bool) -> Result<Self, DataError> {
-        // What instant-ngp's scripts write beside the model.
-        let fisheye = fisheye || o.flag("is_fisheye")?;
-        let n = |key| o.number(key);
-        let pair = |a, b| Ok::<_, DataError>([n(a)?, n(b)?]);
-        let foreign: &[&'static str] = if fisheye { &["k5", "k6", "p1", "p2"] } else { &["k4", "k5", "k6"] };
-        for key in foreign {
-            if let Some(v) = o.number(key)?.filter(|&v| v != 0.0) {
-                return Err(DataError::CameraModel { place: o.place(key), model: format!("with {key} = {v}") });
-            }
-        }
-        let stated = Self {
-            fl: pair("fl_x", "fl_y")?,
-            angle: pair("camera_angle_x", "camera_angle_y")?,
-            principal: pair("cx", "cy")?,
-            size: pair("w", "h")?,
-            lens: [n("k1")?, n("k2")?, n("k3")?, n("p1")?, n("p2")?, n("k4")?],
-            fisheye,
-        };
-        let positive = "it must be positive";
-        for (value, key) in stated.size.iter().chain(&stated.fl).zip(["w", "h", "fl_x", "fl_y"]) {
-            if let Some(v) = value.filter(|&v| v <= 0.0) {
-                return Err(o.fault(key, &v.to_string(), positive, "correct the number"));
-            }
-        }
-        for (value, key) in stated.angle.iter().zip(["camera_angle_x", "camera_angle_y"]) {
-            if let Some(v) = value.filter(|v| !(*v > 0.0 && *v < std::f64::consts::PI)) {
-                return Err(o.fault(
-                    key,
-                    &v.to_string(),
-                    "a field of view lies between 0 and pi",
-                    "correct the number",
-                ));
-            }
-        }
-        Ok(stated)
-    }
-
-    /// Whether the focal length or the principal point is in pixels of a size.
-    fn counts_pixels(&self) -> bool {
-        self.fl.iter().chain(&self.principal).any(Option::is_some)
-    }
-
-    /// The values of a frame, else the shared ones.
-    fn or(self, shared: &Self) -> Self {
-        fn first<const N: usize>(own: [Option<f64>; N], shared: [Option<f64>; N]) -> [Option<f64>; N] {
-            std::array::from_fn(|k| own[k].or(shared[k]))
-        }
-        Self {
-            fl: first(self.fl, shared.fl),
-            angle: first(self.angle, shared.angle),
-            principal: first(self.principal, shared.principal),
-            size: first(self.size, shared.size),
-            lens: first(self.lens, shared.lens),
-            fisheye: self.fisheye,
-        }
-    }
-
-    /// Missing sizes are the image's, a missing principal point is the centre, a missing focal length comes from the field
-    /// of view, a missing second one equals the first.
-    fn complete(&self, header: &ImageHeader, place: &Place) -> Result<Intrinsics, DataError> {
-        let image = [f64::from(header.width), f64::from(header.height)];
-        let size = [0, 1].map(|k| self.size[k].unwrap_or(image[k]));
-        let from_angle = |k: usize| self.angle[k].map(|a: f64| 0.5 * size[k] / (0.5 * a).tan());
-        let focal = [0, 1].map(|k| self.fl[k].or(from_angle(k)));
-        let (Some(fx), Some(fy)) = (focal[0].or(focal[1]), focal[1].or(focal[0])) else {
-            return Err(DataError::Field {
-                place: place.clone(),
-                value: "without focal length".into(),
-                why: "neither fl_x nor camera_angle_x is given, for all frames or for this one",
-                fix: "add fl_x, fl_y, cx, cy, w and h",
-            });
-        };
-        let principal = [0, 1].map(|k| self.principal[k].unwrap_or(0.5 * size[k]));
-        let [k1, k2, k3, p1, p2, k4] = self.lens.map(Option::unwrap_or_default);
-        Ok(Intrinsics {
-            size: size.into(),
-            focal: DVec2::new(fx, fy),
-            principal: principal.into(),
-            lens: Lens { fisheye: self.fisheye, k1, k2, k3, k4, p1, p2, skew: 0.0 },
-        })
     }
 }
 
@@ -218,11 +109,8 @@ fn read_frame(
     let (shown, path) = locate(root, &image, &frame.place("file_path"))?;
     let place = frame.place("transform_matrix");
     let file = |key: &'static str| frame.text(key)?.map(|m| root.resolve(m, &frame.place(key))).transpose();
-    let stated = PartialIntrinsics::read(frame, shared.fisheye)?.or(shared);
-    if images.is_some_and(|folder| folder.trim_end_matches('/') != "images")
-        && stated.counts_pixels()
-        && stated.size.contains(&None)
-    {
+    let stated = PartialIntrinsics::of_frame(frame, shared)?;
+    if images.is_some_and(|folder| folder.trim_end_matches('/') != "images") && stated.counts_pixels_of_no_size() {
         return Err(DataError::Field {
             place: frame.place("w"),
             value: "missing, or h is".into(),
@@ -278,9 +166,8 @@ fn drafts(
         let frame = listed.rest;
         let id = frame.camera.filter(|_| numbered).unwrap_or(cast::to_u32(k));
         let intrinsics = frame.stated.complete(&header, &frame.place)?;
-        let (camera, fitted) = intrinsics.camera(&header, &listed.path, &frame.pose, &frame.place)?;
-        let lens = intrinsics.lens(options.undistort, &frame.place)?;
-        adjusted.count(&intrinsics, &camera, fitted, lens.as_ref());
+        let (camera, lens) =
+            adjusted.fit(&intrinsics, &header, &listed.path, &frame.pose, &frame.place, options.undistort)?;
         let mut view = View::new("", camera, Time::default(), ImageSource::File(listed.path), id);
         frame.depth.as_ref().map_or(Ok(()), DepthMap::check)?;
         (view.lens, view.depth) = (lens, frame.depth);

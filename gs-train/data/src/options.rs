@@ -136,12 +136,14 @@ pub enum TimeFrom {
 pub struct DataOptions {
     /// Name of the layout (see [`super::LAYOUTS`]); none: detect it.
     pub layout: Option<String>,
-    /// Range of training times (with a boundary: of the whole sequence), mapped to 0..1; times outside are errors. None: times
-    /// must lie in the layout's own range (D-NeRF: 0..1), and the span of the training views is mapped to 0..1.
+    /// Range of training times (with a boundary: of the whole sequence), mapped to 0..1; times outside are errors. None: the span of the
+    /// training views that are read, but in four layouts that of the data whatever part of them is read: rigs of `llff` (frame `k` of `n`
+    /// at `k/n`), `nvidia` (image `k` of `n` at `k/(n−1)`), `hypernerf` (over the largest id of all lists) and `nvfi` (times as they
+    /// stand). `blender` and `nvfi` refuse training times outside 0..1.
     pub time_range: Option<TimeRange>,
     /// Share of the whole sequence, above 0 and at most 1, that may train: views up to it keep their split, all later
-    /// ones, of every camera and split, are [`super::Split::Extrapolate`]. The whole sequence is `time_range`, else the span
-    /// of all views, and is mapped to 0..1. None: the value in `scene.toml` of the data folder, else no boundary; 1: no boundary.
+    /// ones, of every camera and split, are [`super::Split::Extrapolate`]. The whole sequence is `time_range`, else the layout's own
+    /// span, else that of all views, and is mapped to 0..1. None: the value in `scene.toml` of the data folder, else no boundary; 1: no boundary.
     pub time_boundary: Option<f64>,
     /// Where the times of frames come from.
     pub time_from: TimeFrom,
@@ -156,11 +158,12 @@ pub struct DataOptions {
     /// Where the data give no split: every `hold_out`-th view in order of names, starting with the first, is held out.
     /// 0 holds out none.
     pub hold_out: u32,
-    /// Cameras to read, by [`super::View::camera_id`]; empty: all.
+    /// Cameras to read, by [`super::View::camera_id`], held-out ones included; empty: all.
     pub cameras: Vec<u32>,
-    /// Cameras to hold out instead of the data's own split; all others train. Empty: the data's split.
+    /// Cameras to hold out, of those that are read, instead of the data's own split; all others train. Empty: the data's split.
     pub test_cameras: Vec<u32>,
-    /// First timestamp to read, as an index from 0 into the sorted distinct times of all views.
+    /// First timestamp to read, as an index from 0 into the sorted distinct times of all views. What is read is 0..1, or a slice of it
+    /// where [`Self::time_range`] or the layout sets the span.
     pub first_frame: u32,
     /// Number of timestamps from `first_frame` on, including those that `frame_step` leaves out; 0: all.
     pub frame_count: u32,

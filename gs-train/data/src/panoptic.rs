@@ -131,9 +131,8 @@ fn draft(
     adjusted: &mut Adjusted,
 ) -> Result<Draft, DataError> {
     let shot = listed.rest;
-    let (camera, fitted) = shot.intrinsics.camera(header, &listed.path, &shot.pose, &shot.place)?;
-    let lens = shot.intrinsics.lens(options.undistort, &shot.place)?;
-    adjusted.count(&shot.intrinsics, &camera, fitted, lens.as_ref());
+    let (camera, lens) =
+        adjusted.fit(&shot.intrinsics, header, &listed.path, &shot.pose, &shot.place, options.undistort)?;
     if let Some(mask) = &shot.mask {
         mask::check(mask, [header.width, header.height])?;
     }
@@ -156,9 +155,14 @@ fn read(root: &Root, file: &Path) -> Result<Vec<Listed<ImageAt>>, DataError> {
     let tables = [("k", meta.k), ("w2c", meta.w2c), ("fn", meta.names), ("cam_id", meta.cam_id)];
     let mut rows = Vec::with_capacity(tables.len());
     for (name, table) in tables {
-        let table = table.ok_or_else(|| fault(file, name, "missing", "it is one of the four tables"))?;
+        let table =
+            table.ok_or_else(|| DataError::unexpected(file, name, "missing", "it is one of the four tables"))?;
         let frames = slices(table, text.len() / MIN_FRAME_BYTES + 1);
-        rows.push(frames.map_err(|e| fault(file, name, &e.to_string(), "it is a list with one entry per frame"))?);
+        rows.push(
+            frames.map_err(|e| {
+                DataError::unexpected(file, name, &e.to_string(), "it is a list with one entry per frame")
+            })?,
+        );
     }
     let frames = rows[0].len();
     for ((name, _), row) in tables.iter().zip(&rows) {
@@ -180,24 +184,21 @@ fn read(root: &Root, file: &Path) -> Result<Vec<Listed<ImageAt>>, DataError> {
     Ok(listed)
 }
 
-fn fault(file: &Path, at: &str, value: &str, why: &'static str) -> DataError {
-    let value = value.chars().take(80).collect();
-    DataError::Field { place: Place::new(file, at), value, why, fix: "export the file again" }
-}
-
 fn same_length(file: &Path, at: &str, got: usize, want: usize, what: &str) -> Result<(), DataError> {
     if got == want {
         return Ok(());
     }
     let value = format!("{got} {what} long, k is {want}");
-    Err(fault(file, at, &value, "the four tables have an entry for every camera of every frame"))
+    Err(DataError::unexpected(file, at, &value, "the four tables have an entry for every camera of every frame"))
 }
 
 /// Width or height.
 fn side(file: &Path, name: &str, value: Option<&RawValue>) -> Result<f64, DataError> {
     let text = value.map_or("missing", RawValue::get);
     let side = text.parse::<f64>().ok().filter(|s| (1.0..=f64::from(gs_core::camera::MAX_SIDE)).contains(s));
-    side.ok_or_else(|| fault(file, name, text, "the calibration is for images of this size, 1 to 32768 pixels"))
+    side.ok_or_else(|| {
+        DataError::unexpected(file, name, text, "the calibration is for images of this size, 1 to 32768 pixels")
+    })
 }
 
 /// One frame of a table: an entry per camera.
@@ -207,7 +208,8 @@ fn row(file: &Path, name: &str, t: usize, raw: &RawValue) -> Result<Vec<Value>, 
         let place = Place::new(file, at);
         return Err(DataError::TooLarge { place, bytes: raw.get().len() as u64, limit: MAX_ROW_BYTES as u64 });
     }
-    serde_json::from_str(raw.get()).map_err(|_| fault(file, &at, raw.get(), "it is a list with one entry per camera"))
+    serde_json::from_str(raw.get())
+        .map_err(|_| DataError::unexpected(file, &at, raw.get(), "it is a list with one entry per camera"))
 }
 
 /// Camera `c` of frame `t`. Its cells have their JSON paths as names, for error texts.

@@ -7,8 +7,26 @@ use glam::Vec3;
 use gs_core::cast;
 use gs_core::io::{self, Limits};
 
-use super::error::DataError;
+use super::error::{DataError, Place};
+use super::files::Root;
 use super::view::PointCloud;
+
+/// The initial points in a file of the data folder, with a note; none if it is not there.
+///
+/// # Errors
+/// `data.escape`, and as [`read_points`].
+pub(crate) fn initial_points(
+    root: &Root,
+    name: &str,
+    notes: &mut Vec<String>,
+) -> Result<Option<PointCloud>, DataError> {
+    let file = root.resolve(name, &Place::new(root.dir(), name))?;
+    if !file.is_file() {
+        return Ok(None);
+    }
+    notes.push(format!("initial points come from {name}"));
+    read_points(&file).map(Some)
+}
 
 /// Reads the points of a file; those without colours are grey.
 ///

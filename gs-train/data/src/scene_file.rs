@@ -45,7 +45,7 @@ pub(crate) struct StartSection {
 }
 
 /// The section `[time]`.
-#[derive(Debug, Default, Deserialize)]
+#[derive(Debug, Default, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct TimeSection {
     pub(crate) boundary: Option<f64>,
@@ -74,22 +74,49 @@ pub(crate) fn read(dir: &Path) -> Result<SceneFile, DataError> {
 /// those that are there. Other lines are kept. The file's path.
 ///
 /// # Errors
-/// `limits.file`, `io.read`, `io.write`; `data.syntax` for a file that cannot be read already.
+/// `limits.file`, `io.read`, `io.write`; `data.syntax` for a file that cannot be read already; `data.field`, with the file as it
+/// was, if the section is written as dotted keys, in one line or with quoted names.
 pub fn write_times(dir: &Path, range: Option<TimeRange>, shift: Option<&TimeShift>) -> Result<PathBuf, DataError> {
     let file = dir.join(NAME);
-    let mut shifts = read(dir)?.time.shift.unwrap_or_default();
-    for (camera, n) in shift.into_iter().flat_map(|s| &s.0) {
-        *shifts.0.entry(*camera).or_default() += n;
+    let mut time = read(dir)?.time;
+    time.range = range.or(time.range);
+    if let Some(shift) = shift {
+        let shifts = time.shift.get_or_insert_default();
+        shift.0.iter().for_each(|(camera, n)| *shifts.0.entry(*camera).or_default() += n);
     }
-    let mut text = if file.exists() { read_text(&file, MAX_BYTES)? } else { String::new() };
-    let values = [("range", range.map(|r| r.to_string())), ("shift", shift.map(|_| shifts.to_string()))];
-    for (key, value) in values {
-        if let Some(value) = value {
-            text = with_line(&text, "time", key, &format!("{key} = \"{value}\""));
+    let old = if file.exists() { read_text(&file, MAX_BYTES)? } else { String::new() };
+    let range = range.map(|r| format!("range = \"{r}\""));
+    let shift = shift.and(time.shift.as_ref()).map(|s| format!("shift = \"{s}\""));
+    let mut text = old.clone();
+    for (key, line) in [("range", &range), ("shift", &shift)] {
+        if let Some(line) = line {
+            text = with_line(&text, "time", key, line);
         }
+    }
+    if toml::from_str::<SceneFile>(&text).ok().is_none_or(|new| new.time != time) {
+        let lines: Vec<String> = [range, shift].into_iter().flatten().collect();
+        return Err(no_place(&file, &old, &lines.join(" and ")));
     }
     write_file(&file, true, |out| out.write_all(text.as_bytes())).map_err(|e| DataError::unwritten(&file, e))?;
     Ok(file)
+}
+
+/// The error for a text beside whose settings of times `lines` cannot be written.
+fn no_place(file: &Path, text: &str, lines: &str) -> DataError {
+    let states_time = |line: &str| {
+        let key = line.trim_start_matches([' ', '\t', '[', '"', '\'']);
+        header(line).is_none() && ["time", "range", "shift"].iter().any(|name| key.starts_with(name))
+    };
+    let (at, found) = match text.lines().enumerate().find(|(_, line)| states_time(line)) {
+        Some((k, line)) => (format!("line {}", k + 1), line.trim().chars().take(80).collect()),
+        None => ("time".to_owned(), String::from("in another form")),
+    };
+    DataError::Field {
+        place: Place::new(file, at),
+        value: format!("{found}, beside which {lines} cannot be written"),
+        why: "only a section [time] with one setting a line is added to",
+        fix: "write it so, or add the setting there by hand",
+    }
 }
 
 /// The name of the section that begins with a line; none where it begins none, as a row of an array does.
@@ -199,6 +226,25 @@ mod tests {
         assert_eq!(text(), "[start]\n\n[time]\nrange = \"0..94\"\n");
         std::fs::write(dir.path().join(NAME), "[thyme]\n").unwrap();
         assert_eq!(write_times(dir.path(), Some(range), None).unwrap_err().code(), "data.syntax");
+    }
+
+    #[test]
+    fn a_file_that_leaves_no_place_for_times_stays_as_it_was() {
+        let range = "0..94".parse().unwrap();
+        for (text, at) in [
+            ("# mine\ntime.boundary = 0.5\n", "line 2 is time.boundary = 0.5, beside"),
+            ("time = { boundary = 0.5 }\n", "line 1 is time = { boundary = 0.5 }, beside"),
+            ("[\"time\"]\nboundary = 0.5\n", "line 1 is [\"time\"], beside"),
+            ("[time]\n\"range\" = \"0..1\"\n", "line 2 is \"range\" = \"0..1\", beside"),
+        ] {
+            let dir = tempfile::tempdir().unwrap();
+            let file = dir.path().join(NAME);
+            std::fs::write(&file, text).unwrap();
+            let e = write_times(dir.path(), Some(range), None).unwrap_err();
+            assert!(e.code() == "data.field" && e.to_string().starts_with(at), "{e}");
+            assert!(e.to_string().contains("range = \"0..94\""), "{e}");
+            assert_eq!(std::fs::read_to_string(&file).unwrap(), text);
+        }
     }
 
     #[test]

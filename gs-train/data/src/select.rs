@@ -9,7 +9,7 @@ use super::times::{Draft, Drafts};
 /// Keeps the cameras and timestamps asked for, and makes a new split where held-out cameras are named.
 ///
 /// # Errors
-/// `data.option` if a camera is named that no view has, or no training view is left.
+/// `data.option` if a camera is named that no view has, one is held out that is not read, or no training view is left.
 pub(crate) fn select(drafts: Drafts, options: &DataOptions, notes: &mut Vec<String>) -> Result<Drafts, DataError> {
     let before = drafts.len();
     let drafts = cameras(drafts, options)?;
@@ -54,6 +54,11 @@ fn cameras(mut drafts: Drafts, options: &DataOptions) -> Result<Drafts, DataErro
             let rule = format!("there are cameras {}", ranges(&known));
             return Err(wrong(name, missing, rule));
         }
+    }
+    let unread = |c: &&u32| !options.cameras.is_empty() && !options.cameras.contains(c);
+    if let Some(unread) = options.test_cameras.iter().find(unread) {
+        let rule = "held-out cameras must be among data.cameras, which alone are read";
+        return Err(wrong("data.test_cameras", unread, rule));
     }
     if !options.cameras.is_empty() {
         drafts.retain(|d| options.cameras.contains(&d.view.camera_id));
@@ -129,6 +134,7 @@ mod tests {
         assert_eq!(chosen(&d()).unwrap(), [18, 6]);
         assert_eq!(chosen(&DataOptions { cameras: vec![1, 3], ..d() }).unwrap(), [6, 6]);
         assert_eq!(chosen(&DataOptions { test_cameras: vec![0, 1], ..d() }).unwrap(), [12, 12]);
+        assert_eq!(chosen(&DataOptions { cameras: vec![0, 1, 3], test_cameras: vec![1], ..d() }).unwrap(), [12, 6]);
         assert_eq!(chosen(&DataOptions { first_frame: 1, frame_count: 4, frame_step: 2, ..d() }).unwrap(), [6, 2]);
         let left = select(drafts(), &DataOptions { first_frame: 4, ..d() }, &mut Vec::new()).unwrap();
         assert!(left.train.iter().all(|v| v.stated.unwrap() >= 4.0));
@@ -143,6 +149,10 @@ mod tests {
         for (options, text) in [
             (DataOptions { cameras: vec![7], ..d() }, "data.cameras = 7 is not possible: there are cameras 0-3"),
             (DataOptions { test_cameras: vec![9], ..d() }, "data.test_cameras = 9"),
+            (
+                DataOptions { cameras: vec![0, 1], test_cameras: vec![3], ..d() },
+                "data.test_cameras = 3 is not possible",
+            ),
             (DataOptions { cameras: vec![3], ..d() }, "at least one camera must train"),
             (DataOptions { test_cameras: vec![0, 1, 2, 3], ..d() }, "at least one camera must train"),
             (DataOptions { frame_step: 0, ..d() }, "data.frame_step = 0"),

@@ -55,12 +55,12 @@ pub struct Doctor {
 }
 
 impl Doctor {
-    /// The check-up of a folder as it is without flags, but for the cost of a run, with its page.
-    pub fn of(data: PathBuf, out: PathBuf) -> Self {
+    /// The check-up of a folder with these settings, as it is without other flags, but for the cost of a run, with its page.
+    pub fn of(data: PathBuf, out: PathBuf, sets: Vec<String>) -> Self {
         Self {
             data,
             layout: None,
-            sets: Vec::new(),
+            sets,
             method: "fourdgs".to_owned(),
             preset: "fast".to_owned(),
             all: false,

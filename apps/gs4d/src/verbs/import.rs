@@ -8,7 +8,7 @@ use crate::interrupt;
 use crate::parse;
 use crate::progress::Progress;
 use clap::ValueEnum;
-use gs_data::shell_quoted;
+use gs_data::{DataError, shell_quoted};
 use gs4d_import::{CameraModel, Event, Imported, Rig, Settings, Source, Taking, import};
 use serde_json::json;
 use std::path::PathBuf;
@@ -82,6 +82,9 @@ pub struct ImportVerb {
     /// Let COLMAP use the graphics card (needs one that it supports).
     #[arg(long)]
     gpu: bool,
+    /// Most memory for decoding one image [default: 64 MiB and eight times the size of its file].
+    #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u32).range(1..=1_048_576))]
+    max_image_mib: Option<u32>,
     /// Start over in a folder that an import made, and remove what that one made.
     #[arg(short, long)]
     force: bool,
@@ -152,15 +155,17 @@ impl ImportVerb {
         global.say(format!("{} frames of {} cameras; now the doctor", done.frames, done.cameras.len()));
         // Problems are printed at the end: points are made all the same.
         let page = self.out.join("doctor.html");
-        let checked = Doctor::of(self.out.clone(), page).look(global)?;
+        let sets: Vec<String> = self.max_image_mib.map(|mib| format!("data.max_image_mib={mib}")).into_iter().collect();
+        let checked = Doctor::of(self.out.clone(), page, sets.clone()).look(global)?;
         // Points that a finished import has already may be the user's own choice.
         let points = if had_points {
             Answer::new(String::new(), json!(null))
         } else {
-            Init::of(self.out.clone()).run(global)?
+            Init::of(self.out.clone(), sets.clone()).run(global)?
         };
         let method = if self.unordered { "static3d" } else { "fourdgs" };
-        let next = format!("gs4d train {} -m {method} -o run", shell_quoted(self.out.display().to_string()));
+        let sets: String = sets.iter().map(|set| format!(" --set {set}")).collect();
+        let next = format!("gs4d train {} -m {method} -o run{sets}", shell_quoted(self.out.display().to_string()));
         let text = format!("{}{}{}now: {next}\n", summary(&done, &self.out), checked.0.text, points.text);
         let json = json!({"import": done, "doctor": checked.0.json, "init": points.json, "next": next});
         let answer = Answer::new(text, json);
@@ -202,6 +207,7 @@ impl ImportVerb {
             keep_all: self.keep_all,
             held_out: self.held_out,
             gpu: self.gpu,
+            max_image_mib: self.max_image_mib,
         }
     }
 }
@@ -249,9 +255,27 @@ impl Failure {
                 .place(folder.display())
                 .why("frames of two imports would be mixed")
                 .remedy("choose another folder with -o, pass -f to start over, or call it as before to go on"),
+            E::Data(e @ DataError::TooLarge { .. }) => Failure::from(e)
+                .remedy("make the file smaller, or allow more for images with --max-image-mib; the same command goes on where it stopped"),
             E::Data(e) => e.into(),
             E::Write(e) => e.into(),
             E::Os { action, path, source } => Failure::io(action, &path, &source),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gs_data::Place;
+    use std::path::Path;
+
+    #[test]
+    fn an_image_that_takes_too_much_memory_comes_with_the_flag_that_allows_it() {
+        let place = Place::new(Path::new("data/images/cam00/00000.jpg"), "image of 8000x6000");
+        let e = DataError::TooLarge { place, bytes: 192_000_000, limit: 128 << 20 };
+        let text = Failure::import(e.into(), Path::new("data")).to_string();
+        assert!(text.contains("limits.file") && text.contains("--max-image-mib"), "{text}");
+        assert!(!text.contains("--set data."), "{text}");
     }
 }

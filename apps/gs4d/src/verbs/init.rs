@@ -70,15 +70,15 @@ fn positive(text: &str) -> Result<f32, String> {
 }
 
 impl Init {
-    /// Points of a folder as they are made without flags, in place of those that were made before.
-    pub fn of(data: PathBuf) -> Self {
+    /// Points of a folder with these settings, as they are made without other flags, in place of those that were made before.
+    pub fn of(data: PathBuf, sets: Vec<String>) -> Self {
         Self {
             data,
             from: None,
             points: POINTS,
             bound: None,
             seed: 0,
-            reading: Reading::default(),
+            reading: Reading::of(sets),
             cameras: None,
             camera_unit: 1.0,
             conditioning: Vec::new(),

@@ -15,8 +15,8 @@
 //! See `film.rs`. Conditioning cameras are inputs of their frames, whichever views the options select for training.
 //!
 //! # Alpha
-//! The alpha of an image is its mask; without alpha `masks/CAMERA/FRAME.png` is [`View::mask`]. Images of conditioning cameras need
-//! one of the two.
+//! The alpha of an image is its mask; without alpha `masks/CAMERA/FRAME.png` is [`View::mask`], by which the view is cut out, so that
+//! it is the view's alpha. Images of conditioning cameras need one of the two.
 
 use std::path::Path;
 
@@ -78,7 +78,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let shots_of = shots.all(&manifest, &cameras)?;
     notes.append(&mut shots.notes);
     let has_alpha = shots.opaque == 0;
-    notes.push(format!("{} of {} images have a mask in masks/", shots.masked, shots_of.len()));
+    notes.push(format!("{} of {} images have a mask in masks/, which is their alpha", shots.masked, shots_of.len()));
     let mut frames = Vec::with_capacity(manifest.lists.len());
     for ((&number, &list), (pose, true_morphs)) in manifest.lists.iter().zip(poses) {
         let points = points::find(&root, number)?;
@@ -159,7 +159,7 @@ impl<'a> Shots<'a> {
             let file = self.root.resolve(&written, &Place::new(self.root.dir(), written.as_str()))?;
             if file.is_file() {
                 mask::check(&file, [view.camera.width, view.camera.height])?;
-                view.mask = Some(ImageSource::File(file));
+                (view.mask, view.cut_out) = (Some(ImageSource::File(file)), true);
                 self.masked += 1;
             } else if camera.role == Role::Cond {
                 return Err(DataError::Field {

@@ -324,9 +324,8 @@ impl Model {
             let row = listed.rest;
             let at = |field: &str| Place::new(&self.images_file, format!("images[{}].{field}", row.row));
             let (pose, intrinsics) = (pose(row, &at)?, self.intrinsics(row, &at)?);
-            let (camera, fitted) = intrinsics.camera(&header, &listed.path, &pose, &at("camera"))?;
-            let lens = intrinsics.lens(options.undistort, &at("camera"))?;
-            adjusted.count(intrinsics, &camera, fitted, lens.as_ref());
+            let (camera, lens) =
+                adjusted.fit(intrinsics, &header, &listed.path, &pose, &at("camera"), options.undistort)?;
             let mut view = View::new("", camera, Time::default(), ImageSource::File(listed.path), row.camera);
             view.lens = lens;
             drafts.push(Draft { view, stated: None, place: at("name") });

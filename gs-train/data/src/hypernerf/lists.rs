@@ -11,12 +11,18 @@ use super::super::json::{Fields, read_object, whole};
 /// Largest `dataset.json`, `metadata.json` and split: some 20 000 images.
 const MAX_LIST_BYTES: u64 = 2 << 20;
 
-/// `dataset.json`: which ids train, and which are held out.
-pub(super) struct Lists {
+/// A list of ids, and where it stands.
+pub(super) struct Ids {
     pub(super) file: PathBuf,
+    key: &'static str,
+    pub(super) ids: Vec<String>,
+}
+
+/// Which ids train, and which are held out.
+pub(super) struct Lists {
     all: Vec<String>,
-    pub(super) train: Vec<String>,
-    pub(super) test: Vec<String>,
+    pub(super) train: Ids,
+    pub(super) test: Ids,
 }
 
 impl Lists {
@@ -28,39 +34,42 @@ impl Lists {
         let file = &dir.join("dataset.json");
         let map = read_object(file, MAX_LIST_BYTES)?;
         let all = names(file, &map, "ids")?;
-        let (train, val) = (names(file, &map, "train_ids")?, names(file, &map, "val_ids")?);
+        let listed = |key, ids| Ids { file: file.clone(), key, ids };
+        let own = |key| names(file, &map, key).map(|ids| listed(key, ids));
+        let (train, val) = (own("train_ids")?, own("val_ids")?);
         if let Some(count) = Fields::new(file, "", &map).number("count")?.filter(|&c| c != all.len() as f64) {
             notes.push(format!("dataset.json states a count of {count} and lists {} ids", all.len()));
         }
         let splits = ["train", "val"].map(|name| dir.join(format!("splits/{name}.json")));
         let (train, test) = if splits.iter().all(|f| f.is_file()) {
             notes.push("the split is that of splits/train.json and splits/val.json".into());
-            (frame_names(&splits[0])?, frame_names(&splits[1])?)
-        } else if val.is_empty() {
+            let [train, val] = splits.map(frame_names);
+            (train?, val?)
+        } else if val.ids.is_empty() {
             notes.push("val_ids is empty: of ids every 4th trains, those half-way between are held out".into());
             // One is held out only between two that train, as 4DGaussians does.
             let every_fourth =
                 |start: usize, end: usize| all.iter().take(end).skip(start).step_by(4).cloned().collect();
-            (every_fourth(0, all.len()), every_fourth(2, all.len().saturating_sub(2)))
+            (listed("ids", every_fourth(0, all.len())), listed("ids", every_fourth(2, all.len().saturating_sub(2))))
         } else {
             (train, val)
         };
-        let trained: HashSet<&String> = train.iter().collect();
-        if let Some(i) = test.iter().position(|id| trained.contains(id)) {
+        let trained: HashSet<&String> = train.ids.iter().collect();
+        if let Some(id) = test.ids.iter().find(|id| trained.contains(id)) {
             return Err(DataError::Field {
-                place: Place::new(file, format!("val_ids[{i}]")),
-                value: format!("\"{}\", which train_ids lists too", test[i]),
+                place: Place::new(&test.file, format!("{}, id \"{id}\"", test.key)),
+                value: format!("in {} of {}, too", train.key, train.file.display()),
                 why: "a view that trains cannot be held out",
                 fix: "remove it from one of the lists",
             });
         }
-        Ok(Self { file: file.to_path_buf(), all, train, test })
+        Ok(Self { all, train, test })
     }
 
     /// The largest time of all ids, those of no split included.
     pub(super) fn last_time(&self, tags: &Tags) -> Result<f64, DataError> {
         let mut last: f64 = 0.0;
-        for id in self.all.iter().chain(&self.train).chain(&self.test) {
+        for id in self.all.iter().chain(&self.train.ids).chain(&self.test.ids) {
             last = last.max(tags.of(id)?.time);
         }
         Ok(last)
@@ -68,20 +77,21 @@ impl Lists {
 }
 
 /// The names of a split of DyCheck; its lists of times and cameras repeat `metadata.json` and must be as long.
-fn frame_names(file: &Path) -> Result<Vec<String>, DataError> {
-    let map = read_object(file, MAX_LIST_BYTES)?;
-    let found = names(file, &map, "frame_names")?;
-    for key in ["time_ids", "camera_ids"] {
-        if let Some(list) = map.get(key).and_then(Value::as_array).filter(|list| list.len() != found.len()) {
+fn frame_names(file: PathBuf) -> Result<Ids, DataError> {
+    let map = read_object(&file, MAX_LIST_BYTES)?;
+    let key = "frame_names";
+    let ids = names(&file, &map, key)?;
+    for other in ["time_ids", "camera_ids"] {
+        if let Some(list) = map.get(other).and_then(Value::as_array).filter(|list| list.len() != ids.len()) {
             return Err(DataError::Field {
-                place: Place::new(file, key),
-                value: format!("{} entries long, frame_names is {}", list.len(), found.len()),
+                place: Place::new(&file, other),
+                value: format!("{} entries long, {key} is {}", list.len(), ids.len()),
                 why: "the lists of a split belong together entry by entry",
                 fix: "copy the split again, or remove the folder splits",
             });
         }
     }
-    Ok(found)
+    Ok(Ids { file, key, ids })
 }
 
 /// A list of texts; a missing list is empty.
@@ -90,7 +100,7 @@ fn names(file: &Path, map: &Map<String, Value>, key: &str) -> Result<Vec<String>
         place: Place::new(file, at),
         value: value.to_string().chars().take(40).collect(),
         why: "ids are a list of texts",
-        fix: "export dataset.json again",
+        fix: "export the file again",
     };
     match map.get(key) {
         None | Some(Value::Null) => Ok(Vec::new()),
@@ -143,8 +153,8 @@ impl Tags {
             return Err(DataError::Field {
                 place: Place::new(&self.file, id),
                 value: "missing".into(),
-                why: "dataset.json lists this id, and its time is unknown",
-                fix: "copy metadata.json and dataset.json of the same capture",
+                why: "a list of the capture has this id, and its time is unknown",
+                fix: "copy metadata.json, dataset.json and splits of the same capture",
             });
         };
         let fields = Fields::new(&self.file, id, map);

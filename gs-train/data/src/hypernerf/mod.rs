@@ -46,7 +46,7 @@ mod frame;
 mod lists;
 
 use frame::{Extra, Frame};
-use lists::{Lists, Tag, Tags};
+use lists::{Ids, Lists, Tag, Tags};
 
 /// The entry in [`super::LAYOUTS`].
 pub(crate) const LAYOUT: Layout = Layout {
@@ -88,12 +88,12 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
         notes.push("principal point, aspect, skew and distortion are left out, as data.center_pp asks".into());
     }
     let reader = Reader { root: &root, folder: &folder, frame: &frame, tags: &tags, options, rate };
-    let train = reader.split(&lists, &lists.train, &mut notes)?;
+    let train = reader.split(&lists.train, &mut notes)?;
     if train.is_empty() {
-        return Err(DataError::Empty { file: lists.file.clone() });
+        return Err(DataError::Empty { file: lists.train.file.clone() });
     }
-    let mut test = reader.split(&lists, &lists.test, &mut notes)?;
-    reader.masks(&lists, &mut test, &mut notes)?;
+    let mut test = reader.split(&lists.test, &mut notes)?;
+    reader.masks(&lists.test.file, &mut test, &mut notes)?;
     let by_tags = options.time_from == TimeFrom::File;
     let span = options.time_range.or((by_tags && last > 0.0).then_some(TimeRange { start: 0.0, end: last }));
     let timed = DataOptions { time_range: span, ..options.clone() };
@@ -129,9 +129,9 @@ struct Reader<'a> {
 
 impl Reader<'_> {
     /// The views of a list of ids.
-    fn split(&self, lists: &Lists, ids: &[String], notes: &mut Vec<String>) -> Result<Vec<Draft>, DataError> {
-        let listed = ids.iter().map(|id| self.image_at(lists, id)).collect::<Result<Vec<_>, _>>()?;
-        let listed = with_headers(&lists.file, listed, self.options, notes)?;
+    fn split(&self, list: &Ids, notes: &mut Vec<String>) -> Result<Vec<Draft>, DataError> {
+        let listed = list.ids.iter().map(|id| self.image_at(&list.file, id)).collect::<Result<Vec<_>, _>>()?;
+        let listed = with_headers(&list.file, listed, self.options, notes)?;
         if listed.iter().any(|(_, h)| h.has_alpha) {
             notes.push("images carry alpha, which is not used: it marks pixels without depth".into());
         }
@@ -146,13 +146,13 @@ impl Reader<'_> {
         Ok(drafts)
     }
 
-    /// Sets the masks of held-out views, where files exist.
-    fn masks(&self, lists: &Lists, test: &mut [Draft], notes: &mut Vec<String>) -> Result<(), DataError> {
+    /// Sets the masks of held-out views, which `listed_in` names, where files exist.
+    fn masks(&self, listed_in: &Path, test: &mut [Draft], notes: &mut Vec<String>) -> Result<(), DataError> {
         let Some(folder) = MASK_FOLDERS.into_iter().find(|f| self.root.dir().join(f).is_dir()) else { return Ok(()) };
         let mut masked = 0;
         for draft in &mut *test {
             let name = format!("{folder}/{}.png", draft.view.name);
-            let file = self.root.resolve(&name, &Place::new(&lists.file, format!("id \"{}\"", draft.view.name)))?;
+            let file = self.root.resolve(&name, &Place::new(listed_in, format!("id \"{}\"", draft.view.name)))?;
             if file.is_file() {
                 mask::check(&file, draft.view.stored.unwrap_or([draft.view.camera.width, draft.view.camera.height]))?;
                 draft.view.mask = Some(ImageSource::File(file));
@@ -170,8 +170,8 @@ impl Reader<'_> {
         Ok(file.is_file().then_some(DepthMap { file, unit: self.frame.scale }))
     }
 
-    fn image_at(&self, lists: &Lists, id: &str) -> Result<Listed<ImageAt>, DataError> {
-        let listed_at = Place::new(&lists.file, format!("id \"{id}\""));
+    fn image_at(&self, listed_in: &Path, id: &str) -> Result<Listed<ImageAt>, DataError> {
+        let listed_at = Place::new(listed_in, format!("id \"{id}\""));
         let (shown, path) = locate(self.root, &format!("{}/{id}", self.folder), &listed_at)?;
         let file = self.root.resolve(&format!("camera/{id}.json"), &listed_at)?;
         let map = read_object(&file, MAX_SMALL_BYTES)?;
@@ -204,9 +204,9 @@ impl Reader<'_> {
         adjusted: &mut Adjusted,
     ) -> Result<Draft, DataError> {
         let shot = listed.rest;
-        let (camera, fitted) = shot.intrinsics.camera(header, &listed.path, &shot.pose, &shot.place)?;
-        let lens = shot.intrinsics.lens(self.options.undistort, &shot.place)?;
-        adjusted.count(&shot.intrinsics, &camera, fitted, lens.as_ref());
+        let undistort = self.options.undistort;
+        let (camera, lens) =
+            adjusted.fit(&shot.intrinsics, header, &listed.path, &shot.pose, &shot.place, undistort)?;
         let mut view = View::new("", camera, Time::default(), ImageSource::File(listed.path), shot.tag.camera);
         (view.lens, view.depth, view.opaque) = (lens, shot.depth, true);
         Ok(Draft { view, stated: Some(shot.tag.time / self.rate), place: shot.time_place })

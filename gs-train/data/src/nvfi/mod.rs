@@ -9,13 +9,15 @@
 //!   `segm_path` with `.npy` is [`View::labels`](super::View::labels). All views train except those that
 //!   `data.test_cameras` and the boundary hold out.
 //!
-//! Cameras are those of Blender: camera to world, OpenGL axes, principal point in the centre.
+//! Cameras are those of [`super::blender`]: camera to world, OpenGL axes, principal point in the centre unless the file, a
+//! camera of a nested one or a frame states more.
 //!
 //! # Splits and times
 //! Views of `train` train. Those of `val` (other cameras) and `test` are held out; views of any list later than the boundary
 //! are the future. The boundary is `data.time_boundary`, else the one of `scene.toml`, else the last training time if held-out
 //! views are later, else 0.75. Times are the authors' virtual time: one sequence is 0..1, frame `k` of `F` is at `k/F`, so times
-//! are not rescaled unless `data.time_range` is given (ParticleNeRF: the frame that is 1).
+//! are not rescaled unless `data.time_range` is given (ParticleNeRF: the frame that is 1). With `data.time_from=name` or `order`
+//! the span of the training views is 0..1, and only `data.time_boundary` or `scene.toml` makes a boundary.
 //! Views with the same pose are of one camera. Cameras are numbered in order of appearance; `data.test_cameras` refers to these numbers.
 //!
 //! # Initial points
@@ -27,14 +29,15 @@ use std::path::{Path, PathBuf};
 use glam::Vec3;
 use gs_core::Time;
 
-use super::blender::{Frame, field_of_view, pinhole, read_frame};
-use super::error::{DataError, Place};
+use super::blender::{Frame, read_frame};
+use super::error::DataError;
 use super::files::{Root, read_text};
 use super::frames::{Listed, name_views, number_cameras, with_headers};
+use super::intrinsics::{Adjusted, PartialIntrinsics};
 use super::json::{Document, Fields, MAX_JSON_BYTES, quote_non_finite};
-use super::options::{DataOptions, TimeRange};
+use super::options::{DataOptions, TimeFrom, TimeRange};
 use super::times::{Draft, Drafts, check_range, settle};
-use super::{Confidence, Dataset, ImageSource, Layout, PointCloud, View, ply};
+use super::{Confidence, Dataset, ImageSource, Layout, View, ply};
 
 mod kind;
 mod nested;
@@ -115,23 +118,34 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
         return Err(DataError::Empty { file: dir.join(name) });
     }
     let has_alpha = train.has_alpha;
-    let virtual_time = TimeRange { start: 0.0, end: 1.0 };
-    if options.time_range.is_none() {
-        check_range(&train.drafts, [&[], &[]], virtual_time)?;
-    }
-    let whole = options.time_range.unwrap_or(virtual_time);
-    let boundary = options.time_boundary.unwrap_or_else(|| own_boundary(&train.drafts, &held.drafts, whole));
+    let options = &virtual_time(&train.drafts, &held.drafts, options)?;
     let mut drafts = Drafts { train: train.named(), val: Vec::new(), test: held.named() };
     let cameras = number_cameras(&mut drafts);
     notes.push(format!("{cameras} cameras, identified by their poses and numbered in order of appearance"));
     notes.push("the authors train at 800 pixels where images have them, and score renders reduced to half and truncated to 8 bit: gs4d eval --half --quantise truncate".into());
-    let options = DataOptions { time_boundary: Some(boundary), time_range: Some(whole), ..options.clone() };
-    let mut data = settle(drafts, &options, None)?.dataset(dir, LAYOUT.name, has_alpha, notes);
-    data.points = points(&root, &mut data.notes)?;
+    let mut data = settle(drafts, options, None)?.dataset(dir, LAYOUT.name, has_alpha, notes);
+    data.points = ply::initial_points(&root, POINTS, &mut data.notes)?;
     if data.points.is_none() {
         data.bounds = Some(bounds(&data));
     }
     Ok(data)
+}
+
+/// The options with range and boundary of the authors' virtual time, where the user sets none. Numbers of files are no such times.
+///
+/// # Errors
+/// `data.time` if a training time lies outside 0..1.
+fn virtual_time(train: &[Draft], held: &[Draft], options: &DataOptions) -> Result<DataOptions, DataError> {
+    if options.time_from != TimeFrom::File {
+        return Ok(options.clone());
+    }
+    let virtual_time = TimeRange { start: 0.0, end: 1.0 };
+    if options.time_range.is_none() {
+        check_range(train, [&[], &[]], virtual_time)?;
+    }
+    let whole = options.time_range.unwrap_or(virtual_time);
+    let boundary = options.time_boundary.unwrap_or_else(|| own_boundary(train, held, whole));
+    Ok(DataOptions { time_boundary: Some(boundary), time_range: Some(whole), ..options.clone() })
 }
 
 /// The share of the sequence that training views cover if held-out views are later, else [`BOUNDARY`].
@@ -166,48 +180,53 @@ fn read_list(
     let file = root.dir().join(name);
     let text = read_text(&file, MAX_JSON_BYTES)?;
     let text = quote_non_finite(&text);
-    let (angle, frames) = match kind {
+    let frames = match kind {
         Kind::Nested => nested::read(root, &file, &text)?,
-        Kind::Flat => flat(&file, &text, |frame| {
-            let Listed { shown, path, rest } = read_frame(root, frame, "file_path")?;
+        Kind::Flat => flat(&file, &text, |frame, shared| {
+            let Listed { shown, path, rest } = read_frame(root, frame, "file_path", shared)?;
             Ok(Listed { shown, path, rest: LabelledFrame { frame: rest, labels: None } })
         })?,
-        Kind::Labelled => flat(&file, &text, |frame| labelled(root, frame))?,
+        Kind::Labelled => flat(&file, &text, |frame, shared| labelled(root, frame, shared))?,
     };
     let listed = with_headers(&file, frames, options, notes)?;
     let mut list = List::default();
+    let mut adjusted = Adjusted::default();
     for (listed, header) in listed {
         let LabelledFrame { frame, labels } = listed.rest;
-        let camera = pinhole(&header, angle, &frame.pose, &frame.place)?;
+        let (camera, lens) = frame.camera(&header, &listed.path, options, &mut adjusted)?;
         let view = View::new("", camera, Time::default(), ImageSource::File(listed.path), 0);
-        list.drafts.push(Draft { view: View { labels, ..view }, stated: frame.time, place: frame.time_place });
+        list.drafts.push(Draft { view: View { lens, labels, ..view }, stated: frame.time, place: frame.time_place });
         list.shown.push(listed.shown);
         list.has_alpha |= header.has_alpha;
     }
+    notes.extend(adjusted.notes());
     Ok(list)
 }
 
-/// The frames of a file that lists them one by one.
+/// The frames of a file that lists them one by one; each is read with the intrinsics of all.
 fn flat(
     file: &Path,
     text: &str,
-    read: impl Fn(&Fields) -> Result<Listed<LabelledFrame>, DataError>,
-) -> Result<(f64, Vec<Listed<LabelledFrame>>), DataError> {
+    read: impl Fn(&Fields, &PartialIntrinsics) -> Result<Listed<LabelledFrame>, DataError>,
+) -> Result<Vec<Listed<LabelledFrame>>, DataError> {
     let document = Document::parse(file, text)?;
-    let angle = field_of_view(&document.top())?;
-    let frames = (0..document.len()).map(|i| read(&document.frame(i)?)).collect::<Result<_, _>>()?;
-    Ok((angle, frames))
+    let shared = PartialIntrinsics::shared(&document.top())?;
+    (0..document.len()).map(|i| read(&document.frame(i)?, &shared)).collect()
 }
 
 /// A frame with its label map.
-fn labelled(root: &Root, frame: &Fields) -> Result<Listed<LabelledFrame>, DataError> {
-    let Listed { shown, path, rest } = read_frame(root, frame, "img_path")?;
-    let written = frame.required_text("segm_path")?;
+fn labelled(root: &Root, frame: &Fields, shared: &PartialIntrinsics) -> Result<Listed<LabelledFrame>, DataError> {
+    let Listed { shown, path, rest } = read_frame(root, frame, "img_path", shared)?;
+    let written = with_npy(frame.required_text("segm_path")?);
     let place = frame.place("segm_path");
-    let labels = root.resolve(&with_npy(written), &place)?;
+    let labels = root.resolve(&written, &place)?;
     if !labels.is_file() {
-        let missing = vec![PathBuf::from(with_npy(written))];
-        return Err(DataError::Missing { listed_in: place.file, missing, total: 1 });
+        return Err(DataError::Field {
+            place,
+            value: format!("\"{written}\", which does not exist"),
+            why: "every frame of a labelled folder has a map of segments",
+            fix: "copy the file, or correct the path",
+        });
     }
     Ok(Listed { shown, path, rest: LabelledFrame { frame: rest, labels: Some(labels) } })
 }
@@ -226,13 +245,4 @@ fn bounds(data: &Dataset) -> [Vec3; 2] {
         p.cmpge(INDOOR_BOUNDS[0]).all() && p.cmple(INDOOR_BOUNDS[1]).all()
     };
     if data.train.iter().all(inside) { INDOOR_BOUNDS } else { data.scene_bounds() }
-}
-
-fn points(root: &Root, notes: &mut Vec<String>) -> Result<Option<PointCloud>, DataError> {
-    let file = root.resolve(POINTS, &Place::new(root.dir(), POINTS))?;
-    if !file.is_file() {
-        return Ok(None);
-    }
-    notes.push(format!("initial points come from {POINTS}"));
-    ply::read_points(&file).map(Some)
 }

@@ -3,65 +3,45 @@
 use std::fmt;
 use std::path::Path;
 
-use serde::Deserialize;
 use serde::de::{DeserializeSeed, Deserializer, Error as _, MapAccess, Visitor};
+use serde_json::Value;
 use serde_json::value::RawValue;
-use serde_json::{Map, Value};
 
 use super::LabelledFrame;
-use crate::blender::{Frame, field_of_view};
+use crate::blender::Frame;
 use crate::error::{DataError, Place};
 use crate::files::Root;
 use crate::frames::{Listed, locate};
-use crate::json::{Fields, slices};
+use crate::intrinsics::PartialIntrinsics;
+use crate::json::{Fields, slices, with_large};
 use crate::pose::{Pose, from_opengl};
 
 /// Shortest possible camera: a 4×4 matrix alone has 41 characters.
 const MIN_CAMERA_BYTES: usize = 41;
 /// Shortest possible frame: `{"file_path":"","time":0}`.
 const MIN_FRAME_BYTES: usize = 20;
-/// Largest frame, matrix or field of view; a usual one has 60 bytes.
+/// Largest frame; a usual one has 60 bytes.
 const MAX_ENTRY_BYTES: usize = 64 << 10;
 
-/// The file as slices of its text.
-#[derive(Deserialize)]
-struct Top<'a> {
-    #[serde(borrow)]
-    camera_angle_x: Option<&'a RawValue>,
-    data: Option<&'a RawValue>,
-}
-
-/// A camera as slices of its text.
-#[derive(Deserialize)]
-struct Camera<'a> {
-    #[serde(borrow)]
-    transform_matrix: Option<&'a RawValue>,
-    frames: Option<&'a RawValue>,
-}
-
-/// Field of view and frames of a file.
+/// The frames of a file.
 ///
 /// # Errors
-/// `data.syntax`, `data.field`, `data.pose`, `data.escape`, `limits.file`, with the JSON path.
-pub(super) fn read(root: &Root, file: &Path, text: &str) -> Result<(f64, Vec<Listed<LabelledFrame>>), DataError> {
-    let syntax = |e: serde_json::Error| {
-        DataError::syntax(file, format!("line {}, column {}", e.line(), e.column()), e.to_string())
-    };
-    let top: Top = serde_json::from_str(text).map_err(syntax)?;
-    let shared: Map<String, Value> = match top.camera_angle_x {
-        Some(raw) => [("camera_angle_x".to_owned(), small(file, "camera_angle_x", raw)?)].into_iter().collect(),
-        None => Map::new(),
-    };
-    let angle = field_of_view(&Fields::new(file, "", &shared))?;
-    let data = top.data.ok_or_else(|| fault(file, "data", "missing", "it holds the frames of each camera"))?;
+/// `data.syntax`, `data.field`, `data.pose`, `data.camera_model`, `data.escape`, `limits.file`, with the JSON path.
+pub(super) fn read(root: &Root, file: &Path, text: &str) -> Result<Vec<Listed<LabelledFrame>>, DataError> {
+    let (data, top) = with_large(text, "data")
+        .map_err(|e| DataError::syntax(file, format!("line {}, column {}", e.line(), e.column()), e.to_string()))?;
+    let shared = PartialIntrinsics::shared(&Fields::new(file, "", &top))?;
+    let fault = |value: &str, why| DataError::unexpected(file, "data", value, why);
+    let data = data.ok_or_else(|| fault("missing", "it holds the frames of each camera"))?;
     let mut json = serde_json::Deserializer::from_str(data.get());
     let cameras = Cameras(text.len() / MIN_CAMERA_BYTES + 1).deserialize(&mut json);
-    let cameras = cameras.map_err(|e| fault(file, "data", &e.to_string(), "it holds an object for each camera"))?;
+    let cameras = cameras.map_err(|e| fault(&e.to_string(), "it holds an object for each camera"))?;
     let mut listed = Vec::new();
     for (name, raw) in cameras {
-        frames(root, file, &format!("data.{}", name.chars().take(80).collect::<String>()), raw, &mut listed)?;
+        let at = format!("data.{}", name.chars().take(80).collect::<String>());
+        frames(root, file, &at, raw, &shared, &mut listed)?;
     }
-    Ok((angle, listed))
+    Ok(listed)
 }
 
 /// The frames of one camera, at the JSON path `at`.
@@ -70,22 +50,21 @@ fn frames(
     file: &Path,
     at: &str,
     raw: &RawValue,
+    shared: &PartialIntrinsics,
     listed: &mut Vec<Listed<LabelledFrame>>,
 ) -> Result<(), DataError> {
     const WHY: &str = "a camera has a transform_matrix and frames";
-    let camera: Camera = serde_json::from_str(raw.get()).map_err(|_| fault(file, at, raw.get(), WHY))?;
-    let path = |key: &str| format!("{at}.{key}");
-    let matrix = camera.transform_matrix.ok_or_else(|| fault(file, &path("transform_matrix"), "missing", WHY))?;
-    let matrix = small(file, &path("transform_matrix"), matrix)?;
-    let map: Map<String, Value> = [("transform_matrix".to_owned(), matrix)].into_iter().collect();
-    let fields = Fields::new(file, at, &map);
-    let place = fields.place("transform_matrix");
-    let pose = from_opengl(&fields.matrix("transform_matrix")?, &place)?;
-    let list = camera.frames.ok_or_else(|| fault(file, &path("frames"), "missing", WHY))?;
+    let (list, camera) =
+        with_large(raw.get(), "frames").map_err(|_| DataError::unexpected(file, at, raw.get(), WHY))?;
+    let fields = Fields::new(file, at, &camera);
+    let shared = PartialIntrinsics::of_frame(&fields, shared)?;
+    let pose = from_opengl(&fields.matrix("transform_matrix")?, &fields.place("transform_matrix"))?;
+    let path = format!("{at}.frames");
+    let list = list.ok_or_else(|| DataError::unexpected(file, &path, "missing", WHY))?;
     let entries = slices(list, list.get().len() / MIN_FRAME_BYTES + 1)
-        .map_err(|e| fault(file, &path("frames"), &e.to_string(), "it is a list of frames"))?;
+        .map_err(|e| DataError::unexpected(file, &path, &e.to_string(), "it is a list of frames"))?;
     for (i, entry) in entries.into_iter().enumerate() {
-        listed.push(frame(root, file, &format!("{at}.frames[{i}]"), entry, &pose, &place)?);
+        listed.push(frame(root, file, &format!("{path}[{i}]"), entry, &pose, &shared)?);
     }
     Ok(())
 }
@@ -96,15 +75,20 @@ fn frame(
     at: &str,
     raw: &RawValue,
     pose: &Pose,
-    place: &Place,
+    shared: &PartialIntrinsics,
 ) -> Result<Listed<LabelledFrame>, DataError> {
     let Value::Object(map) = small(file, at, raw)? else {
-        return Err(fault(file, at, raw.get(), "a frame has a file_path and a time"));
+        return Err(DataError::unexpected(file, at, raw.get(), "a frame has a file_path and a time"));
     };
     let fields = Fields::new(file, at, &map);
     let (shown, path) = locate(root, fields.required_text("file_path")?, &fields.place("file_path"))?;
-    let frame =
-        Frame { pose: *pose, time: fields.number("time")?, time_place: fields.place("time"), place: place.clone() };
+    let frame = Frame {
+        pose: *pose,
+        stated: PartialIntrinsics::of_frame(&fields, shared)?,
+        time: fields.number("time")?,
+        time_place: fields.place("time"),
+        place: fields.place(""),
+    };
     Ok(Listed { shown, path, rest: LabelledFrame { frame, labels: None } })
 }
 
@@ -115,11 +99,6 @@ fn small(file: &Path, at: &str, raw: &RawValue) -> Result<Value, DataError> {
         return Err(DataError::TooLarge { place: Place::new(file, at), bytes, limit });
     }
     serde_json::from_str(raw.get()).map_err(|e| DataError::syntax(file, at, e.to_string()))
-}
-
-fn fault(file: &Path, at: &str, value: &str, why: &'static str) -> DataError {
-    let value = value.chars().take(80).collect();
-    DataError::Field { place: Place::new(file, at), value, why, fix: "export the file again" }
 }
 
 /// Visitor of an object of at most this many entries, kept as slices; each name occurs once.

@@ -1,10 +1,11 @@
 //! Frames of a person that arrive in a folder.
 
-use gs_data::avatar::AvatarScene;
 use gs_data::avatar::layout::{Arrivals, PosesFrom};
+use gs_data::avatar::{AvatarScene, Morphs};
 use gs_data::{DataOptions, Dataset, ImageCache};
 use gs_synth::avatar::{AvatarOptions, write};
 use serde_json::{Value, json};
+use std::time::Duration;
 
 #[test]
 fn the_newest_whole_frame_arrives() {
@@ -48,10 +49,13 @@ fn the_newest_whole_frame_arrives() {
         AvatarScene::input_images(&half.avatar.as_ref().unwrap().frames[1].inputs, &cache).unwrap()
     );
     assert!(frame.written.elapsed().unwrap().as_secs() < 60);
+    // A change within one tick of the file system's clock is seen a little later.
+    let tick = || std::thread::sleep(Duration::from_millis(60));
     // Of several the newest; older ones never again.
     ids.iter().for_each(|id| put(*id, 0, 103));
     pose(102, json!({}));
     pose(103, json!({}));
+    tick();
     let frame = arrivals.newest().unwrap().unwrap();
     assert_eq!((frame.number, frame.passed_over), (103, 1));
     assert!(arrivals.newest().unwrap().is_none());
@@ -59,11 +63,12 @@ fn the_newest_whole_frame_arrives() {
     ids.iter().for_each(|id| put(*id, 0, 104));
     pose(104, json!({"nodes": {"tail": {}}}));
     assert!(arrivals.newest().unwrap().is_none());
-    let old = std::time::SystemTime::now() - std::time::Duration::from_secs(5);
+    let old = std::time::SystemTime::now() - Duration::from_secs(5);
     let files = ids.iter().map(|id| image(*id, 104)).chain(["poses/000104.json".into()]);
     files.for_each(|f| {
         std::fs::File::options().append(true).open(dir.path().join(f)).unwrap().set_modified(old).unwrap()
     });
+    tick();
     let fault = arrivals.newest().unwrap_err();
     assert!(fault.code() == "data.field" && fault.report().contains("000104.json") && fault.report().contains("tail"));
     assert!(arrivals.newest().unwrap().is_none());
@@ -74,4 +79,24 @@ fn the_newest_whole_frame_arrives() {
     assert_eq!((last.number, &last.pose, last.passed_over), (newest.number, &newest.pose, s.frames.len() - 1));
     let nobody = Dataset { avatar: None, ..data.without_views() };
     assert!(Arrivals::new(dir.path(), &nobody, PosesFrom::Film, DataOptions::default()).is_err());
+}
+
+#[test]
+fn morphs_of_an_arriving_pose_count_where_poses_of_the_film_state_them() {
+    for morph in [Morphs::Gt, Morphs::Apply, Morphs::Ignore] {
+        let film = tempfile::tempdir().unwrap();
+        let options =
+            AvatarOptions { per_ring: 4, rings: 1, frames: 1, size: 16, points: 0, morph, ..AvatarOptions::default() };
+        write(film.path(), &options, false, false).unwrap();
+        let data = Dataset::open(film.path(), &DataOptions::default()).unwrap();
+        let rest = &data.avatar.as_ref().unwrap().character.skeleton.rest_morphs;
+        assert!(!rest.is_empty());
+        let stated: Vec<f32> = rest.iter().map(|m| m + 0.25).collect();
+        let poses = film.path().join("poses");
+        std::fs::create_dir_all(&poses).unwrap();
+        std::fs::write(poses.join("000000.json"), json!({"nodes": {}, "morphs": stated}).to_string()).unwrap();
+        let mut arrivals = Arrivals::new(film.path(), &data, PosesFrom::Folder, DataOptions::default()).unwrap();
+        let frame = arrivals.newest().unwrap().unwrap();
+        assert_eq!(&frame.pose.morphs, if morph == Morphs::Apply { &stated } else { rest }, "{morph:?}");
+    }
 }

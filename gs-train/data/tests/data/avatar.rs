@@ -356,6 +356,9 @@ fn faults_of_the_scene_are_named() {
     let file = "scene.json";
     names(&film.scene("version", json!(2)), "data.field", &[file, "version", "2"]);
     names(&film.scene("units", json!("inch")), "data.field", &[file, "units", "inch"]);
+    names(&film.scene("up", json!("z")), "data.field", &[file, "up", "\"z\""]);
+    names(&film.scene("background", json!([1, 1, 1])), "data.field", &[file, "background", "schedule.background"]);
+    names(&film.scene("background", json!("black")), "data.field", &[file, "background"]);
     names(&film.scene("fps", json!(0)), "data.field", &[file, "fps"]);
     names(&film.scene("fps", Value::Null), "data.field", &[file, "fps", "missing"]);
     names(&film.scene("clp", json!("walk")), "data.field", &[file, "clp", "misspelt"]);
@@ -475,6 +478,8 @@ fn poses_crops_masks_and_lenses_are_read() {
     let input = &scene(&masked).frames[1].inputs[0];
     assert!(matches!(&input.mask, Some(ImageSource::File(_))) && !masked.has_alpha);
     let cut = AvatarScene::input_pixels(input, &ImageCache::new(0, 1.0)).unwrap();
+    let trained = masked.train.iter().find(|v| v.name == input.name).unwrap();
+    assert!(pixels(trained).alpha() == cut.alpha() && cut.data.chunks_exact(4).any(|p| p[3] == 0), "not opaque");
     assert_eq!(cut.data, rgba.into_raw(), "colour and coverage as before");
     // Pixel centres at whole numbers, and a lens.
     let mut cameras = film.cameras.clone();
@@ -486,6 +491,20 @@ fn poses_crops_masks_and_lenses_are_read() {
     assert_eq!((view.camera.cx, view.lens.map(|l| l.k1)), (8.5, Some(0.1)));
     let e = film.open_with(&DataOptions { undistort: false, ..DataOptions::default() }).unwrap_err();
     assert_eq!(e.code(), "data.camera_model");
+}
+
+#[test]
+fn views_of_a_frame_without_inputs_are_left_out_with_it() {
+    let dir = tempfile::tempdir().unwrap();
+    write(dir.path(), &small(), false, false).unwrap();
+    for camera in [0, 2, 4, 6] {
+        std::fs::remove_file(dir.path().join(format!("images/{camera:03}/000002.png"))).unwrap();
+    }
+    let data = Dataset::open(dir.path(), &DataOptions { allow_missing: true, ..DataOptions::default() }).unwrap();
+    assert_eq!((data.train.len(), data.test.len(), scene(&data).frames.len()), (12 * 4, 4 * 4, 4));
+    assert!(data.train.iter().chain(&data.test).all(|v| scene(&data).frame_at(v.time).time == v.time));
+    let note = "frame 2 has no input and is left out with its 12 views";
+    assert!(data.notes.iter().any(|n| n == note), "{:?}", data.notes);
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 use gs_core::Camera;
 use gs_data::PointCloud;
-use gs_data::geometry::focus;
+use gs_data::geometry::{focus, near_axes};
 use gs_data::{Dataset, View};
 use gs_synth::{SynthOptions, generate};
 
@@ -21,6 +21,21 @@ fn cameras_on_a_hemisphere_span_their_radius() {
     let one = Dataset { train: d.train[..1].to_vec(), ..d };
     assert_eq!(one.scene_extent(), 1.0);
     assert!(focus(&one.train).is_finite());
+}
+
+#[test]
+fn nearly_parallel_axes_meet_nowhere() {
+    let ahead = |x: f64, turn: f64| {
+        let eye = DVec3::X * x;
+        Camera::look_at(8, 8, 0.7, eye, eye + DVec3::new(turn, 0.0, 5.0), DVec3::Y).unwrap()
+    };
+    let cameras = [ahead(0.0, 0.0), ahead(1.0, -0.1)];
+    let point = near_axes(&cameras, 1e-6).unwrap();
+    assert!(point.distance(DVec3::Z * 50.0) < 1e-6, "{point}");
+    assert_eq!(near_axes(&cameras, 1e-3), None);
+    assert_eq!(near_axes([], 0.0), None);
+    let right = [DVec3::X, DVec3::Z].map(|eye| Camera::look_at(8, 8, 0.7, eye, DVec3::ZERO, DVec3::Y).unwrap());
+    assert!(near_axes(&right, 0.249).is_some() && near_axes(&right, 0.251).is_none());
 }
 
 #[test]

@@ -1,6 +1,6 @@
-//! Which views share a camera, and lenses that are fisheyes.
+//! Which views share a camera, intrinsics that Blender's files state, and lenses that are fisheyes.
 
-use crate::layouts::{Folder, opengl};
+use crate::layouts::{Folder, apart, number, opengl};
 use gs_data::{DataOptions, ImageCache, Lens, View};
 use serde_json::{Value, json};
 
@@ -30,6 +30,27 @@ fn views_of_one_pose_are_of_one_camera_in_all_splits() {
         rig["frames"][k]["camera_index"] = json!(k / 3);
     }
     assert_eq!(ids(&read(&rig).train), [0, 0, 1, 1, 1], "what the file says counts");
+}
+
+/// Beside the field of view, for all frames or one, in pixels of a larger image.
+#[test]
+fn blender_files_may_state_intrinsics_and_lenses() {
+    let f = Folder::new(3, "png");
+    let mut j = f.nerfstudio();
+    for key in ["w", "h", "fl_x", "fl_y", "cx", "cy"] {
+        j[key] = json!(j[key].as_f64().unwrap() * 2.0);
+    }
+    (j["camera_angle_x"], j["k1"], j["frames"][1]["p2"]) = (json!(0.5), json!(0.05), json!(0.01));
+    f.put("transforms_train.json", j.to_string());
+    let d = f.open(&DataOptions::default()).unwrap();
+    assert_eq!((d.layout, d.train.len()), ("blender", 3));
+    assert!(d.train.iter().all(|v| apart(&v.camera, &f.cameras[number(&v.name)]) < 1e-9));
+    let lens = Lens { k1: 0.05, ..Lens::default() };
+    let lenses: Vec<Lens> = d.train.iter().map(|v| v.lens.unwrap()).collect();
+    assert_eq!(lenses, [lens, Lens { p2: 0.01, ..lens }, lens]);
+    assert!(d.notes.iter().any(|n| n.contains("3 views are resampled to a pinhole")), "{:?}", d.notes);
+    let e = f.open(&DataOptions { undistort: false, ..Default::default() }).unwrap_err();
+    assert_eq!(e.code(), "data.camera_model");
 }
 
 #[test]

@@ -262,7 +262,7 @@ fn every_fault_is_named() {
         (|c| c.metadata["000001"]["camera_id"] = json!(-1), "data.field", "000001.camera_id is -1"),
         (|c| drop(c.metadata.as_object_mut().unwrap().remove("000003")), "data.field", "000003 is missing"),
         (|c| c.dataset["train_ids"][0] = json!(7), "data.field", "train_ids[0] is 7"),
-        (|c| c.dataset["val_ids"][0] = json!("000000"), "data.field", "which train_ids lists too"),
+        (|c| c.dataset["val_ids"][0] = json!("000000"), "data.field", "val_ids, id \"000000\" is in train_ids of"),
         (|c| c.dataset["train_ids"] = json!([]), "data.empty", "gives no training view"),
         (|c| c.put("points.npy", npy(&[3, 2], &[0.0; 6])), "data.field", "shape is [3, 2], not n rows of 3"),
         (|c| c.put("points.npy", npy(&[1, 3], &[0.0, f32::NAN, 0.0])), "data.syntax", "must be finite"),
@@ -419,6 +419,19 @@ fn faults_of_dycheck_captures_are_named() {
         let e = c.open(&DataOptions::default()).unwrap_err();
         assert!(e.code() == code && e.to_string().contains(text), "{text}: {} {e}", e.code());
     }
+}
+
+#[test]
+fn faults_of_a_split_name_its_own_file() {
+    let fault = |names: Value| {
+        let c = dycheck();
+        c.put("splits/val.json", json!({ "frame_names": names }).to_string());
+        let e = c.open(&DataOptions::default()).unwrap_err();
+        assert!(e.place().unwrap().file.ends_with("splits/val.json"), "{}", e.report());
+        e.to_string()
+    };
+    assert!(fault(json!([id(3), id(1)])).starts_with("frame_names, id \"000001\" is in frame_names of"));
+    assert!(fault(json!([id(3), 4])).starts_with("frame_names[1] is 4"));
 }
 
 /// Any byte changed in any of the lists gives a data set or a typed error.

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use glam::{DMat3, DVec3, Vec3};
 use gs_core::{Camera, Rng};
-use gs_data::{DataError, DataOptions, Dataset, View, detect};
+use gs_data::{DataError, DataOptions, Dataset, TimeFrom, View, detect};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -166,6 +166,33 @@ fn boundaries_ranges_and_cameras_can_be_set() {
 }
 
 #[test]
+fn numbers_in_names_are_no_virtual_times() {
+    let scene = Scene::flat(true);
+    let by_name = DataOptions { time_from: TimeFrom::Name, ..Default::default() };
+    let d = scene.open(&by_name).unwrap();
+    assert_eq!([d.train.len(), d.test.len(), d.extrapolate.len()], [21, 11, 0]);
+    assert_eq!(d.train.iter().map(|v| v.time.normalised).fold(0.0, f32::max), 1.0, "frames 0 to 6");
+    let half = scene.open(&DataOptions { time_boundary: Some(0.5), ..by_name }).unwrap();
+    assert_eq!([half.train.len(), half.test.len(), half.extrapolate.len()], [12, 4, 16], "of frames 0 to 7");
+}
+
+#[test]
+fn intrinsics_and_lenses_of_files_cameras_and_frames_are_used() {
+    let mut scene = Scene::nested();
+    scene.train["k1"] = json!(0.1);
+    scene.train["data"]["cam_1"]["fl_x"] = json!(7.0);
+    scene.train["data"]["cam_1"]["frames"][2]["cx"] = json!(2.5);
+    let d = scene.open(&DataOptions::default()).unwrap();
+    let view = |name: &str| d.train.iter().find(|v| v.name == name).unwrap();
+    assert!(d.train.iter().all(|v| v.lens.is_some_and(|lens| lens.k1 == 0.1)));
+    assert!(d.extrapolate.iter().all(|v| v.lens.is_none()), "of another file");
+    let own = &view("c1_02").camera;
+    assert_eq!((own.fx, own.fy, own.cx, view("c1_03").camera.cx), (7.0, 7.0, 2.5, 3.0));
+    assert!((view("c0_02").camera.fx - camera(0).fx).abs() < 1e-9);
+    assert!(d.notes.iter().any(|n| n.contains("21 views are resampled to a pinhole")), "{:?}", d.notes);
+}
+
+#[test]
 fn a_flat_folder_is_told_by_its_future_or_by_its_maker() {
     let mut scene = Scene::flat(true);
     let last = scene.train["frames"].as_array_mut().unwrap().last_mut().unwrap();
@@ -228,7 +255,12 @@ fn label_maps_belong_to_their_pictures() {
         assert!(labels.ends_with(format!("segm/{}_{frame}.npy", v.camera_id)), "{}", labels.display());
     }
     let faults: [(&str, Value, &str, &str); 4] = [
-        ("segm_path", json!("segm/none"), "data.missing", "segm/none.npy"),
+        (
+            "segm_path",
+            json!("segm/none"),
+            "data.field",
+            "frames[2].segm_path is \"segm/none.npy\", which does not exist",
+        ),
         ("segm_path", json!("../../x"), "data.escape", "../../x"),
         ("segm_path", json!(3), "data.field", "frames[2].segm_path is 3"),
         ("img_path", Value::Null, "data.field", "frames[2].img_path is missing"),
@@ -279,7 +311,11 @@ fn every_fault_is_named() {
             "data.cam_0.transform_matrix is missing",
         ),
         (|s| s.test["camera_angle_x"] = json!(4), "data.field", "camera_angle_x is 4"),
-        (|s| drop(s.test.as_object_mut().unwrap().remove("camera_angle_x")), "data.field", "camera_angle_x is missing"),
+        (
+            |s| drop(s.test.as_object_mut().unwrap().remove("camera_angle_x")),
+            "data.field",
+            "data.cam_0.frames[0] is without focal length",
+        ),
         (|s| s.test["data"]["cam_0"]["transform_matrix"] = json!(1), "data.field", "transform_matrix is 1"),
     ];
     for (edit, code, text) in edits {

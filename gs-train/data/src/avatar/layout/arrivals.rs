@@ -2,13 +2,15 @@
 //!
 //! ```text
 //! images/CAMERA/FRAME.png   of every conditioning camera, with alpha or with masks/CAMERA/FRAME.png
-//! poses/FRAME.json          {nodes: {NAME: {translation, rotation, scale}}, morphs: […]}; nodes it does not name are at rest
+//! poses/FRAME.json          {nodes: {NAME: {translation, rotation, scale}}, morphs: […]}; nodes it does not name are at rest,
+//!                           and morphs where `morph` of the film's scene.json is not "apply"
 //! cameras.json, crops.json  as in a film; without cameras.json those of the film are taken
 //! ```
 //! A frame is there once all of its files are; masks have to be written before their images. A file that cannot be read yet is
 //! read again for a second.
 
 use super::cameras::{self, Crops, FilmCamera};
+use super::manifest::Manifest;
 use super::{Role, Shots, poses};
 use crate::Dataset;
 use crate::avatar::AvatarScene;
@@ -20,12 +22,17 @@ use crate::options::DataOptions;
 use gs_core::{Camera, Image};
 use gs_texel::Pose;
 use std::collections::BTreeSet;
+use std::ops::Bound;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::{Duration, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
 
 /// A file that cannot be read is taken for one that is still being written so long after its last change.
 const SETTLED: Duration = Duration::from_secs(1);
+/// So long after a change of a folder was seen it may change again without another time of change, on the coarsest file systems.
+const COARSE: Duration = Duration::from_secs(2);
+/// Within that time it is listed again after this one.
+const AGAIN: Duration = Duration::from_millis(50);
 /// Bytes of decoded images kept: those of one frame are read once.
 const IMAGE_BYTES: usize = 0;
 
@@ -60,17 +67,38 @@ pub struct Arrivals {
     crops: Crops,
     scene: Arc<AvatarScene>,
     poses: PosesFrom,
+    /// The film's own file, which says whether poses state morphs.
+    manifest: Option<Manifest>,
     options: DataOptions,
     /// Number of the newest frame that was given out.
     last: Option<u32>,
     refused: BTreeSet<u32>,
+    listing: Option<Listing>,
+}
+
+/// What was in a folder, and when.
+struct Listing {
+    /// The time of change that the folder had.
+    changed: SystemTime,
+    /// When it was seen to have it first, and when it was listed.
+    seen: Instant,
+    listed: Instant,
+    numbers: BTreeSet<u32>,
+}
+
+impl Listing {
+    /// Whether a folder whose time of change is the same holds the same.
+    fn holds(&self, now: Instant) -> bool {
+        self.listed >= self.seen + COARSE || now < self.listed + AGAIN
+    }
 }
 
 impl Arrivals {
     /// Frames in `dir` of the person of `film`, whose cameras are taken where `dir` has none.
     ///
     /// # Errors
-    /// `data.path` if `dir` is no folder, `data.layout` if `film` shows no person; those of `cameras.json` and `crops.json`.
+    /// `data.path` if `dir` is no folder, `data.layout` if `film` shows no person; those of `cameras.json`, `crops.json` and the film's
+    /// `scene.json`.
     pub fn new(dir: &Path, film: &Dataset, poses: PosesFrom, options: DataOptions) -> Result<Self, DataError> {
         let Some(scene) = film.avatar.clone() else {
             let looked_for = "a film of a person, layout `avatar`".into();
@@ -81,7 +109,10 @@ impl Arrivals {
         let mut cameras = cameras::read(&if own { dir } else { &film.root }.join("cameras.json"))?;
         cameras.retain(|c| c.role == Role::Cond);
         let crops = Crops::read(&dir.join("crops.json"))?;
-        Ok(Self { root, cameras, crops, scene, poses, options, last: None, refused: BTreeSet::new() })
+        let file = film.root.join("scene.json");
+        let manifest = file.is_file().then(|| Manifest::read(&file)).transpose()?;
+        let (last, refused, listing) = Default::default();
+        Ok(Self { root, cameras, crops, scene, poses, manifest, options, last, refused, listing })
     }
 
     /// Ids of the conditioning cameras, which name the folders of their images.
@@ -115,16 +146,15 @@ impl Arrivals {
     }
 
     /// Numbers of images of the first camera that were not given out, ascending.
-    fn numbers(&self) -> BTreeSet<u32> {
+    fn numbers(&mut self) -> BTreeSet<u32> {
         let Some(camera) = self.cameras.first() else { return BTreeSet::new() };
         let folder = self.root.dir().join(format!("images/{:03}", camera.id));
-        let number = |entry: std::io::Result<std::fs::DirEntry>| {
-            let name = PathBuf::from(entry.ok()?.file_name());
-            let image = name.extension().and_then(|e| e.to_str()).is_some_and(|e| EXTENSIONS.contains(&e));
-            name.file_stem().filter(|_| image)?.to_str()?.parse::<u32>().ok()
-        };
-        let all = std::fs::read_dir(folder).into_iter().flatten().filter_map(number);
-        all.filter(|n| self.last.is_none_or(|last| *n > last) && !self.refused.contains(n)).collect()
+        let listing = listing(&folder, self.listing.take());
+        let after = (self.last.map_or(Bound::Unbounded, Bound::Excluded), Bound::Unbounded);
+        let numbers = listing.iter().flat_map(|l| l.numbers.range(after)).copied();
+        let numbers = numbers.filter(|n| !self.refused.contains(n)).collect();
+        self.listing = listing;
+        numbers
     }
 
     /// When the last file of a frame was written; none while one is missing.
@@ -153,7 +183,11 @@ impl Arrivals {
     fn pose(&self, number: u32) -> Result<Pose, DataError> {
         let character = &self.scene.character;
         if self.poses == PosesFrom::Folder {
-            return poses::read_one(&self.pose_file(number), character.skeleton.rest_pose(), character);
+            let shown = poses::read_one(&self.pose_file(number), character.skeleton.rest_pose(), character)?;
+            return Ok(match &self.manifest {
+                Some(manifest) => manifest.known(character, shown).0,
+                None => shown,
+            });
         }
         let filmed = self.scene.frames.iter().find(|f| f.number == number);
         filmed.map(|f| f.pose.clone()).ok_or_else(|| DataError::Field {
@@ -177,5 +211,71 @@ impl Arrivals {
         }
         let cache = ImageCache::new(IMAGE_BYTES, 1.0).with_max_image_mib(self.options.max_image_mib);
         Ok((pose, AvatarScene::input_images(&views, &cache)?))
+    }
+}
+
+/// The images of a folder by number: those of a listing where it still holds; none where the folder does not say when it changed, or
+/// is not there.
+fn listing(folder: &Path, known: Option<Listing>) -> Option<Listing> {
+    let changed = std::fs::metadata(folder).and_then(|m| m.modified()).ok()?;
+    let (known, now) = (known.filter(|l| l.changed == changed), Instant::now());
+    let seen = known.as_ref().map_or(now, |l| l.seen);
+    known.filter(|l| l.holds(now)).or_else(|| Some(Listing { changed, seen, listed: now, numbers: numbers_in(folder) }))
+}
+
+/// Numbers that are names of images in a folder.
+fn numbers_in(folder: &Path) -> BTreeSet<u32> {
+    let number = |entry: std::io::Result<std::fs::DirEntry>| {
+        let name = PathBuf::from(entry.ok()?.file_name());
+        let image = name.extension().and_then(|e| e.to_str()).is_some_and(|e| EXTENSIONS.contains(&e));
+        name.file_stem().filter(|_| image)?.to_str()?.parse::<u32>().ok()
+    };
+    std::fs::read_dir(folder).into_iter().flatten().filter_map(number).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_listing_holds_until_its_folder_may_have_changed() {
+        let begun = Instant::now();
+        let at = |ms: u64| begun + Duration::from_millis(ms);
+        let holds = |listed: u64, now: u64| {
+            let (changed, numbers) = (SystemTime::UNIX_EPOCH, BTreeSet::new());
+            Listing { changed, seen: at(0), listed: at(listed), numbers }.holds(at(now))
+        };
+        assert!(holds(10, 59) && !holds(10, 60), "it may have changed within one time of change");
+        assert!(holds(1990, 2039) && !holds(1990, 2040));
+        assert!(holds(2000, 9_000_000), "any further change has another time");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_folder_is_listed_when_its_time_has_changed() {
+        let dir = tempfile::tempdir().unwrap();
+        let put = |name: &str| std::fs::write(dir.path().join(name), "x").unwrap();
+        let hour = |n: u64| {
+            let time = SystemTime::UNIX_EPOCH + Duration::from_secs(3600 * n);
+            std::fs::File::open(dir.path()).unwrap().set_modified(time).unwrap();
+        };
+        // Seen four seconds ago, listed two seconds ago.
+        let earlier = |l: Listing| {
+            let ago = |by: Duration| Instant::now().checked_sub(by).unwrap();
+            Some(Listing { seen: ago(2 * COARSE), listed: ago(COARSE), ..l })
+        };
+        let numbers = |known: Option<Listing>| listing(dir.path(), known).unwrap();
+        put("000001.png");
+        put("notes.txt");
+        hour(9);
+        let first = numbers(None);
+        assert_eq!(first.numbers, BTreeSet::from([1]));
+        put("000002.png");
+        hour(9);
+        let kept = numbers(earlier(first));
+        assert_eq!(kept.numbers.len(), 1, "it is not listed while its time stays");
+        hour(10);
+        assert_eq!(numbers(earlier(kept)).numbers, BTreeSet::from([1, 2]));
+        assert!(listing(&dir.path().join("none"), None).is_none());
     }
 }

@@ -128,8 +128,9 @@ impl Film {
         }
         let stated = |number: u32| Some(f64::from(number) / fps);
         let place = self.place.clone();
-        let Sorted { drafts, mut inputs, ood, numbers } =
-            self.sort(|number, view| Draft { view, stated: stated(number), place: place.clone() });
+        let mut sorted = self.sort(|number, view| Draft { view, stated: stated(number), place: place.clone() });
+        self.leave_out(&mut sorted);
+        let Sorted { drafts, mut inputs, ood, numbers } = sorted;
         if drafts.train.is_empty() {
             return Err(DataError::Empty { file: place.file });
         }
@@ -145,10 +146,7 @@ impl Film {
         let mut first = None;
         for s in self.frames {
             let time = settled.clock.time(stated(s.number), &place)?;
-            let Some(mut views) = inputs.remove(&s.number) else {
-                self.notes.push(format!("frame {} has no input and is left out", s.number));
-                continue;
-            };
+            let Some(mut views) = inputs.remove(&s.number) else { continue };
             views.iter_mut().for_each(|v| v.time = time);
             if s.list == FrameUse::Train {
                 first.get_or_insert(frames.len());
@@ -192,6 +190,26 @@ impl Film {
             list.push(draft(number, view));
         }
         out
+    }
+
+    /// Leaves out frames without inputs, and their views: the inputs of another frame would stand in for theirs.
+    fn leave_out(&mut self, sorted: &mut Sorted) {
+        let Sorted { drafts, inputs, numbers, .. } = sorted;
+        let lacking = self.frames.iter().map(|f| f.number).filter(|number| !inputs.contains_key(number));
+        let mut views_of: BTreeMap<u32, usize> = lacking.map(|number| (number, 0)).collect();
+        let mut keep = |d: &Draft| match numbers.get(&d.view.name).and_then(|number| views_of.get_mut(number)) {
+            None => true,
+            Some(views) => {
+                *views += 1;
+                false
+            }
+        };
+        drafts.train.retain(&mut keep);
+        drafts.test.retain(&mut keep);
+        self.frames.retain(|f| !views_of.contains_key(&f.number));
+        for (number, views) in views_of {
+            self.notes.push(format!("frame {number} has no input and is left out with its {views} views"));
+        }
     }
 }
 

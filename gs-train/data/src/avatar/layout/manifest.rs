@@ -7,7 +7,7 @@
 //! motion      a BVH file of the folder in place of clip, brought to the template's skeleton; null: none
 //! motion_names  {node of the template: joint of the motion}, where their names do not tell
 //! morph       gt: images show the motion's morphs, poses do not state them; apply: both; ignore: neither
-//! background  colour behind the person where alpha is 0: black           generated: options of the generator
+//! background  [0, 0, 0]: colours are black where alpha is 0              generated: options of the generator
 //! ```
 //! Frame `n` is at `n / fps` seconds of the film and of the motion. Without `splits` all frames train; frames in no
 //! list are not read.
@@ -86,6 +86,12 @@ impl Manifest {
         }
         choose(&f, "version", &map, &[("1", ())])?;
         choose(&f, "units", &map, &[("\"m\"", ())])?;
+        choose(&f, "up", &map, &[("\"y\"", ())])?;
+        if let Some(color) = f.numbers::<3>("background")?.filter(|color| *color != [0.0; 3]) {
+            let why = "images are cut out over black: where alpha is 0, so are colours";
+            let fix = "give [0, 0, 0]; schedule.background is the colour that training puts behind images";
+            return Err(f.fault("background", &format!("{color:?}"), why, fix));
+        }
         let fps = f.required_number("fps")?;
         if !(fps > 0.0 && fps < 1e6) {
             return Err(f.fault("fps", &fps.to_string(), "frames per second are above 0", "correct the number"));
@@ -204,7 +210,7 @@ fn choose<T: Copy>(
         f.fault(
             key,
             &text,
-            "only 1 for version, \"m\" for units and the values of the layout's page are known",
+            "only 1 for version, \"m\" for units, \"y\" for up and the values of the layout's page are known",
             "correct it",
         )
     })
