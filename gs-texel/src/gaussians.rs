@@ -17,8 +17,7 @@
 //! ([`Channels::gather`], [`Channels::scatter`]). Results are the same bits for any number of threads.
 //!
 //! # Far from the origin
-//! `f32` positions in metres lose millimetres beyond 10 km. Therefore skinning matrices are moved to the root in `f64`
-//! ([`relative_to`]) before rounding to `f32`, splats are made relative to it, and the camera is moved too ([`camera_relative_to`]).
+//! Base maps and splats are `f32` in the world: beyond 10 km from its origin they lose millimetres.
 //!
 //! ```
 //! use gs_texel::gaussians::{COLOR, Channels, DecodeOptions, OPACITY, TexelBase, decode};
@@ -47,6 +46,6 @@ mod decode;
 pub mod row;
 pub mod warm_up;
 
-pub use base::{BaseError, TexelBase, camera_relative_to, relative_to};
+pub use base::{BaseError, TexelBase};
 pub use channels::{COLOR, Channels, ChannelsError, OFFSET, OPACITY, QUAT, SCALE};
 pub use decode::{Covariance, DecodeOptions, decode, decode_backward, offset_penalty};

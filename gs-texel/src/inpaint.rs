@@ -1,7 +1,7 @@
 //! In-painting of unseen texels within each chart, and interpolation weights of views by direction. Delaunay triangulations
 //! are those of `spade`.
 //!
-//! In-painting is for display and evaluation: the networks get black at unseen texels.
+//! In-painting is for display, evaluation and mean colours: the networks get black at unseen texels.
 //!
 //! ```
 //! use gs_texel::inpaint::{Inpainted, InpaintMethod, inpaint};

@@ -254,6 +254,7 @@ const PARTS: [(&str, &[&str]); 14] = [
 ///
 /// assert_eq!(part("mixamorig:LeftForeArm").as_deref(), Some("left forearm"));
 /// assert_eq!(part("forearm.L"), part("left fore arm"));
+/// assert_eq!(part("J_Bip_L_LowerArm"), part("left fore arm"));
 /// assert_eq!((part("LeftArm").as_deref(), part("LeftLeg").as_deref()), (Some("left upperarm"), Some("left shin")));
 /// assert_eq!(part("LeftHandThumb1"), None);
 /// ```
@@ -268,13 +269,12 @@ pub fn part(name: &str) -> Option<String> {
         return None;
     }
     let one = |side: &str| {
-        let at_an_end = ['.', '_', ' ', '-']
-            .iter()
-            .any(|c| lower.ends_with(&format!("{c}{side}")) || lower.starts_with(&format!("{side}{c}")));
+        // forearm.L, J_Bip_L_LowerArm.
+        let apart = lower.split(['.', '_', ' ', '-']).any(|word| word == side);
         // lThigh, LThigh.
         let mut letters = own.chars();
         let first = letters.next().is_some_and(|c| c.to_lowercase().eq(side.chars()));
-        at_an_end || first && letters.next().is_some_and(char::is_uppercase)
+        apart || first && letters.next().is_some_and(char::is_uppercase)
     };
     let side = match () {
         () if words.contains("left") => "left ",
@@ -385,6 +385,21 @@ mod tests {
             let (a, b) = (moved(&person.skeleton, clip, t), moved(&lowered, &fitted.clip, t));
             assert!(apart(&a, &b, &lowered) < 1e-6, "{t}: {}", apart(&a, &b, &lowered));
         }
+    }
+
+    #[test]
+    fn a_side_may_stand_inside_a_name() {
+        for (name, meaning) in [
+            ("J_Bip_L_UpperArm", "left upperarm"),
+            ("J_Bip_R_LowerLeg", "right shin"),
+            ("J_Bip_R_Shoulder", "right clavicle"),
+            ("J_Bip_C_Hips", "hips"),
+            ("Bip01 L Thigh", "left thigh"),
+            ("upper_arm.R.001", "right upperarm"),
+        ] {
+            assert_eq!(part(name).as_deref(), Some(meaning), "{name}");
+        }
+        assert_eq!(part("J_Bip_L_Thumb1"), None);
     }
 
     #[test]

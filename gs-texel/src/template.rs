@@ -11,7 +11,7 @@ use std::sync::Arc;
 /// reads the texture of its material ([`Template::corner_uvs`]).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Template {
-    /// `v̄`: positions in the bind pose, `N` rows.
+    /// `v̄`: positions in the bind pose, in the unit of the world, `N` rows.
     pub vertices: Vec<Vec3>,
     /// Triangles: `F` rows of three vertex rows, counter-clockwise seen from outside.
     pub faces: Vec<[u32; 3]>,
@@ -122,7 +122,7 @@ pub struct Material {
     pub texture: Option<Arc<Image>>,
     /// Opacity below which a texel is a hole; `None`: no holes.
     pub cutout: Option<f32>,
-    /// Whether back faces are visible too.
+    /// Whether back faces are to be drawn too; nothing in this crate depends on it.
     pub double_sided: bool,
     /// Wrap mode of the texture along `u` and `v`.
     pub wrap: [Wrap; 2],

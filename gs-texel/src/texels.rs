@@ -70,21 +70,13 @@ pub enum TexelError {
     },
 }
 
-/// Side of the map and rules of [`TexelTable::build`].
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// Rules of [`TexelTable::build`].
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TexelOptions {
     /// Accept any number of overlapping texels (mirrored halves that share texels on purpose). Default: no; above 0.1 % is an
     /// error.
     pub allow_overlap: bool,
-    /// Width of the gutter in texels: invalid texels around the charts that [`TexelTable::fill_gutter`] fills. Default: 2.
-    pub gutter: usize,
-}
-
-impl Default for TexelOptions {
-    fn default() -> Self {
-        Self { allow_overlap: false, gutter: 2 }
-    }
 }
 
 /// Counts made while a table was built.
@@ -131,8 +123,6 @@ pub struct TexelTable {
     pub chart: Vec<u16>,
     /// Row of each texel of the map, [`NONE`] for invalid ones; `S²` values.
     pub row: Vec<u32>,
-    /// Texels of the gutter: index in the map, and the row whose value it copies.
-    pub gutter: Vec<[u32; 2]>,
     /// Overlaps, degenerate faces and other counts.
     pub report: TexelReport,
 }
@@ -171,8 +161,7 @@ impl TexelTable {
         let chart = tri.iter().map(|&f| of_face[f as usize]).collect();
         let mut row = vec![NONE; size * size];
         valid.iter().enumerate().for_each(|(k, &t)| row[t as usize] = k as u32);
-        let gutter = gutter(&row, size, options.gutter);
-        Ok(Self { size, valid, tri, bary, chart, row, gutter, report })
+        Ok(Self { size, valid, tri, bary, chart, row, report })
     }
 
     /// `K`, the number of valid texels.
@@ -251,11 +240,11 @@ impl TexelTable {
         self.row.iter().map(|&r| if r == NONE { 0.0 } else { 1.0 }).collect()
     }
 
-    /// Copies the nearest valid texel into each texel of the gutter of an `S × S` map, so that filters do not mix in the
-    /// background.
-    pub fn fill_gutter(&self, map: &mut Image) {
+    /// Copies the nearest valid texel into each invalid one of an `S × S` map within `width` texels of it, so that filters do not
+    /// mix in the background.
+    pub fn fill_gutter(&self, map: &mut Image, width: usize) {
         let c = map.channels;
-        for &[texel, row] in &self.gutter {
+        for [texel, row] in gutter(&self.row, self.size, width) {
             let from = self.valid[row as usize] as usize * c;
             map.data.copy_within(from..from + c, texel as usize * c);
         }

@@ -1,8 +1,8 @@
 //! Base maps: point, skinning matrix, rotation and scale factor of each texel, interpolated from vertices.
 
 use crate::texels::TexelTable;
-use glam::{Affine3A, DAffine3, DVec3, Vec3};
-use gs_core::{Camera, rot};
+use glam::{Affine3A, Vec3};
+use gs_core::rot;
 use rayon::prelude::*;
 
 /// Texels of the smallest parallel task.
@@ -13,7 +13,7 @@ const CHUNK: usize = 1024;
 pub struct TexelBase {
     /// `c`: points of the deformed bind pose, metres.
     pub points: Vec<Vec3>,
-    /// `[R | τ]`: blended skinning matrices, relative to the origin of the vertices' matrices.
+    /// `[R | τ]`: blended skinning matrices.
     pub transforms: Vec<Affine3A>,
     /// `q_R`: unit quaternions `(w, x, y, z)` of the matrices' rotations.
     pub rotations: Vec<[f32; 4]>,
@@ -120,15 +120,4 @@ impl TexelBase {
     pub fn is_empty(&self) -> bool {
         self.points.is_empty()
     }
-}
-
-/// Skinning matrices of joints relative to `origin`, such as the root's position: `τ − origin`, in `f64`.
-pub fn relative_to(joints: &[DAffine3], origin: DVec3) -> Vec<DAffine3> {
-    let moved = |a: &DAffine3| DAffine3 { translation: a.translation - origin, ..*a };
-    joints.iter().map(moved).collect()
-}
-
-/// The camera whose image of a world shifted by `−origin` equals that of `camera` of the world.
-pub fn camera_relative_to(camera: &Camera, origin: DVec3) -> Camera {
-    Camera { translation: camera.translation + camera.rotation * origin, ..camera.clone() }
 }

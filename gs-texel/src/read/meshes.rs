@@ -237,7 +237,8 @@ impl<'a> Meshes<'a> {
         if self.mesh.points.iter().skip(base as usize).any(|p| !p.is_finite()) {
             return Err(data.malformed(place, "has positions that are not finite in its bind pose"));
         }
-        self.triangles(primitive, mode, (base, n), place)
+        let mirrored = bind.is_some_and(|(_, frame)| frame.matrix3.determinant() < 0.0);
+        self.triangles(primitive, mode, (base, n), mirrored, place)
     }
 
     /// Joint and weight tables of a skinned primitive, with the joints of its skin.
@@ -313,11 +314,14 @@ impl<'a> Meshes<'a> {
         Ok(())
     }
 
+    /// Adds the triangles of a primitive of `n` vertices from `base` on; of mirrored ones the other way round, so that their
+    /// outside stays outside.
     fn triangles(
         &mut self,
         primitive: &Primitive,
         mode: Mode,
         (base, n): (u32, usize),
+        mirrored: bool,
         place: &str,
     ) -> Result<(), CharacterError> {
         let data = self.data;
@@ -339,10 +343,10 @@ impl<'a> Meshes<'a> {
             Some(layout.apply(DVec3::new(*uv.first()?, *uv.get(1)?, 0.0).as_vec3().truncate()))
         };
         data.spend(FACE_BYTES * corners.len() as u64, place)?;
-        let mut add = |face: [u32; 3]| {
-            let [a, b, c] = face;
+        let mut add = |[a, b, c]: [u32; 3]| {
+            let [b, c] = if mirrored { [c, b] } else { [b, c] };
             if a != b && b != c && c != a {
-                self.mesh.faces.push(face.map(|v| base + v));
+                self.mesh.faces.push([a, b, c].map(|v| base + v));
                 let uvs_of_face = read(a).zip(read(b)).zip(read(c)).map(|((a, b), c)| [a, b, c]);
                 self.mesh.material_uvs.push(uvs_of_face.filter(|p| p.iter().all(|uv: &Vec2| uv.is_finite())));
                 self.mesh.face_materials.push(number);

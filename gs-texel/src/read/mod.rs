@@ -9,6 +9,9 @@
 //! | read | triangles, strips, fans, indexed or not; sparse and normalised accessors; any number of meshes, primitives, materials, skins and influences; rigid parts (bound to their node); morph targets; STEP, LINEAR, CUBICSPLINE; base colour, colours of vertices where there is no texture, cut-out, wrap modes; `KHR_texture_transform`, `KHR_mesh_quantization` |
 //! | ignored | normals and tangents, points and lines, cameras, lights, other parts of materials |
 //! | refused by name | Draco, meshopt, KTX2 and every other required extension; matrices with shear |
+//!
+//! Vertices have the unit of the scene (glTF: metres). Where joints at rest scale them (centimetres under a node of scale 0.01), vertices and
+//! morph offsets are multiplied by the median of these scales, and bind matrices divided by it. Triangles of mirrored rigid parts are turned over.
 #![cfg_attr(
     not(test),
     deny(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing, clippy::unreachable)

@@ -1,6 +1,6 @@
 //! Bilinear reads of maps at fixed texture coordinates, as a sparse matrix, and the backward of these reads.
 
-use super::TexelTable;
+use super::{TexelTable, charts};
 use crate::surface::{CHUNK, NONE, Rows};
 use glam::{DVec2, Vec2};
 use gs_core::Image;
@@ -18,9 +18,10 @@ pub enum SeamRead {
     First,
 }
 
-/// Bilinear reads at fixed texture coordinates: `out_i = Σ_t w_it map_t`.
+/// Bilinear reads at the vertices of a mesh: `out_i = Σ_t w_it map_t`.
 ///
-/// Only valid texels count, and their weights sum to 1. A coordinate without a valid texel around it reads the nearest one.
+/// Only valid texels of the charts that a vertex lies in count, and their weights sum to 1. A coordinate without such a texel around it
+/// reads the nearest one; of any chart if its own has no texel at all.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MapReader {
     size: usize,
@@ -30,13 +31,15 @@ pub struct MapReader {
     weights: Vec<f32>,
 }
 
-impl MapReader {
-    /// A reader at `uvs`, one row per coordinate.
-    pub fn at_uvs(table: &TexelTable, uvs: &[Vec2]) -> Self {
-        let taps: Vec<_> = uvs.par_iter().with_min_len(CHUNK).map(|&uv| vec![(uv, 1.0)]).collect();
-        Self::new(table, &taps)
-    }
+/// A coordinate that a vertex reads.
+struct Place {
+    uv: Vec2,
+    /// Charts whose texels count; none: those of any chart.
+    charts: Vec<u16>,
+    share: f64,
+}
 
+impl MapReader {
     /// A reader at the vertices of a mesh, one row per vertex; a vertex of no face reads 0. `faces` and `face_uvs` are those of
     /// the table.
     pub fn at_vertices(
@@ -47,27 +50,36 @@ impl MapReader {
         face_uvs: &[[u32; 3]],
         seams: SeamRead,
     ) -> Self {
-        let pairs = faces.iter().flatten().copied().zip(face_uvs.iter().flatten().copied());
-        let of_vertex = Rows::from_pairs(vertices, pairs);
+        let of_face = charts::of_faces(faces, uvs, face_uvs);
+        let mut owned: Vec<u16> = table.chart.clone();
+        owned.sort_unstable();
+        owned.dedup();
+        let corners = faces.iter().flatten().enumerate().map(|(corner, &v)| (v, corner as u32));
+        let of_vertex = Rows::from_pairs(vertices, corners);
         let places = |v: usize| {
-            let mut met: Vec<Vec2> = Vec::new();
-            for &k in of_vertex.row(v) {
-                let uv = uvs[k as usize];
+            let mut met: Vec<Place> = Vec::new();
+            for &corner in of_vertex.row(v) {
+                let (face, k) = (corner as usize / 3, corner as usize % 3);
+                let uv = uvs[face_uvs[face][k] as usize];
+                let own = Some(of_face[face]).filter(|chart| owned.binary_search(chart).is_ok());
                 let full = !met.is_empty() && seams == SeamRead::First;
-                if !full && !met.contains(&uv) {
-                    met.push(uv);
+                match met.iter_mut().find(|p| p.uv == uv) {
+                    Some(place) => place.charts.extend(own),
+                    None if full => {}
+                    None => met.push(Place { uv, charts: own.into_iter().collect(), share: 0.0 }),
                 }
             }
             let share = 1.0 / met.len().max(1) as f64;
-            met.into_iter().map(|uv| (uv, share)).collect()
+            met.iter_mut().for_each(|p| p.share = share);
+            met
         };
         Self::new(table, &(0..vertices).map(places).collect::<Vec<_>>())
     }
 
-    fn new(table: &TexelTable, places: &[Vec<(Vec2, f64)>]) -> Self {
-        let taps = |places: &Vec<(Vec2, f64)>| {
-            let mut row: Vec<(u32, f64)> =
-                places.iter().flat_map(|&(uv, w)| taps(table, uv).into_iter().map(move |t| (t.0, w * t.1))).collect();
+    fn new(table: &TexelTable, places: &[Vec<Place>]) -> Self {
+        let taps = |places: &Vec<Place>| {
+            let of_place = |p: &Place| taps(table, p).into_iter().map(|t| (t.0, p.share * t.1)).collect::<Vec<_>>();
+            let mut row: Vec<(u32, f64)> = places.iter().flat_map(of_place).collect();
             row.sort_unstable_by_key(|t| t.0);
             row.dedup_by(|b, a| {
                 a.0 == b.0 && {
@@ -136,18 +148,26 @@ impl MapReader {
     }
 }
 
+impl Place {
+    /// Whether a texel is valid and of a chart that counts.
+    fn reads(&self, table: &TexelTable, texel: usize) -> bool {
+        let row = table.row[texel];
+        row != NONE && (self.charts.is_empty() || self.charts.contains(&table.chart[row as usize]))
+    }
+}
+
 /// The texels read at one coordinate and their weights, which sum to 1.
-fn taps(table: &TexelTable, uv: Vec2) -> Vec<(u32, f64)> {
+fn taps(table: &TexelTable, place: &Place) -> Vec<(u32, f64)> {
     let (size, last) = (table.size, table.size as i64 - 1);
     // Beyond the border the border is read.
-    let p = (uv.as_dvec2() * size as f64 - 0.5).clamp(DVec2::splat(-1.0), DVec2::splat(size as f64));
+    let p = (place.uv.as_dvec2() * size as f64 - 0.5).clamp(DVec2::splat(-1.0), DVec2::splat(size as f64));
     let (floor, part) = (p.floor(), p - p.floor());
     let mut out = Vec::with_capacity(4);
     for (dy, wy) in [(0, 1.0 - part.y), (1, part.y)] {
         for (dx, wx) in [(0, 1.0 - part.x), (1, part.x)] {
             let x = (floor.x as i64 + dx).clamp(0, last) as usize;
             let y = (floor.y as i64 + dy).clamp(0, last) as usize;
-            if wx * wy > 0.0 && table.row[y * size + x] != NONE {
+            if wx * wy > 0.0 && place.reads(table, y * size + x) {
                 out.push(((y * size + x) as u32, wx * wy));
             }
         }
@@ -155,14 +175,14 @@ fn taps(table: &TexelTable, uv: Vec2) -> Vec<(u32, f64)> {
     let total: f64 = out.iter().map(|t| t.1).sum();
     // A weight this small is a corner that is touched by rounding only.
     if total < 1e-6 {
-        return nearest(table, p).map_or_else(Vec::new, |t| vec![(t, 1.0)]);
+        return nearest(table, place, p).map_or_else(Vec::new, |t| vec![(t, 1.0)]);
     }
     out.iter_mut().for_each(|t| t.1 /= total);
     out
 }
 
-/// The valid texel nearest to a position in texels, searched in growing squares.
-fn nearest(table: &TexelTable, p: DVec2) -> Option<u32> {
+/// The texel that counts nearest to a position in texels, searched in growing squares.
+fn nearest(table: &TexelTable, place: &Place, p: DVec2) -> Option<u32> {
     let size = table.size as i64;
     let inside = p.clamp(DVec2::ZERO, DVec2::splat((size - 1) as f64));
     let (cx, cy) = (inside.x.round() as i64, inside.y.round() as i64);
@@ -177,7 +197,7 @@ fn nearest(table: &TexelTable, p: DVec2) -> Option<u32> {
             let step = if edge || r == 0 { 1 } else { 2 * r };
             let mut x = cx - r;
             while x <= cx + r {
-                if (0..size).contains(&x) && table.row[(y * size + x) as usize] != NONE {
+                if (0..size).contains(&x) && place.reads(table, (y * size + x) as usize) {
                     let d = (inside - DVec2::new(x as f64, y as f64)).length_squared();
                     if best.is_none_or(|b| d < b.0) {
                         best = Some((d, (y * size + x) as u32));

@@ -85,7 +85,7 @@ fn every_feature_agrees_with_the_evaluation() {
     let position = sparse.primitive()["attributes"]["POSITION"].as_u64().unwrap() as usize;
     sparse.json["accessors"][position]["sparse"] = json!({"count": 2, "values": {"bufferView": values},
         "indices": {"bufferView": rows, "componentType": 5123}});
-    assert_eq!(verified("sparse", &sparse).template.vertices[1], glam::Vec3::splat(5.0));
+    assert_eq!(verified("sparse", &sparse).template.vertices[1], glam::Vec3::splat(10.0), "in the world");
 
     let mut quantised = small();
     let weights: Vec<u8> = (0..2 * ROWS as u8).flat_map(|i| [255 - 30 * i, 30 * i, 0, 0]).collect();
@@ -117,6 +117,61 @@ fn every_feature_agrees_with_the_evaluation() {
     let both = verified("two primitives", &halves);
     assert_eq!((both.template.vertices.len(), both.source_vertices.len()), (2 * ROWS, 4 * ROWS), "welded");
     assert_eq!(both.template.face_materials.iter().filter(|m| **m == 1).count(), 2 * (ROWS - 1));
+}
+
+/// A vertex of the small strip as its file has it.
+fn in_the_file(i: usize) -> glam::Vec3 {
+    glam::Vec3::new((i % 2) as f32, (i / 2) as f32, 0.1 * i as f32)
+}
+
+#[test]
+fn vertices_have_the_unit_of_the_world() {
+    let scaled = |scale: f32| {
+        let mut s = small();
+        s.json["nodes"][0]["scale"] = json!([scale, scale, scale]);
+        s
+    };
+    // Vertices in centimetres under a node in metres.
+    let c = verified("centimetres", &scaled(0.01));
+    let at_rest = c.skeleton.skinning(&c.skeleton.rest_pose());
+    assert!(at_rest.iter().all(|a| (a.matrix3.determinant() - 1.0).abs() < 1e-6), "{at_rest:?}");
+    for (i, (v, delta)) in c.template.vertices.iter().zip(&c.template.morphs[0].offsets).enumerate() {
+        assert!(v.abs_diff_eq(0.01 * in_the_file(i), 1e-6), "{i}: {v}");
+        assert!((delta.z - 0.002 * (i % 3) as f32).abs() < 1e-6, "{i}: {delta}");
+    }
+    // What has the unit but for rounding keeps its bits.
+    let c = verified("metres", &scaled(1.0005));
+    assert!(c.template.vertices.iter().enumerate().all(|(i, v)| *v == in_the_file(i)));
+    assert_eq!(c.skeleton.joints[1].inverse_bind.translation, glam::DVec3::new(0.0, -1.5, 0.0));
+    let error = read(&scaled(3e38).glb()).unwrap_err().to_string();
+    assert!(error.contains("beyond the range of numbers"), "{error}");
+}
+
+#[test]
+fn mirrored_parts_keep_their_outside() {
+    let part = |scale: [f32; 3]| {
+        let mut s = small();
+        let json = s.json.as_object_mut().unwrap();
+        json.remove("skins");
+        json.remove("animations");
+        s.json["nodes"] = json!([{"mesh": 0, "scale": scale}]);
+        s.json["scenes"][0]["nodes"] = json!([0]);
+        read(&s.glb()).unwrap().template
+    };
+    let (plain, mirrored) = (part([1.0; 3]), part([-1.0, 1.0, 1.0]));
+    let normal = |t: &gs_texel::Template, face: usize| {
+        let [a, b, c] = t.faces[face].map(|v| t.vertices[v as usize]);
+        (b - a).cross(c - a)
+    };
+    assert_eq!((plain.faces.len(), mirrored.faces.len()), (2 * (ROWS - 1), 2 * (ROWS - 1)));
+    for face in 0..plain.faces.len() {
+        let (a, b) = (normal(&plain, face), normal(&mirrored, face));
+        assert!(b.abs_diff_eq(glam::Vec3::new(-a.x, a.y, a.z), 1e-6), "{face}: {a} {b}");
+        let uvs = mirrored.corner_uvs(face).unwrap();
+        for (v, uv) in mirrored.faces[face].map(|v| mirrored.vertices[v as usize]).into_iter().zip(uvs) {
+            assert!(uv.abs_diff_eq(glam::Vec2::new(-v.x, v.y / (ROWS - 1) as f32), 1e-6), "{face}: {v} {uv}");
+        }
+    }
 }
 
 #[test]
@@ -176,9 +231,9 @@ fn vertices_without_weights_follow_the_nearest_joint() {
     let c = read(&s.glb()).unwrap();
     assert_eq!(c.fallbacks.unbound_vertices, 2 * ROWS);
     for (i, v) in c.template.vertices.iter().enumerate() {
-        let near = u32::from(v.y > 1.0);
-        // Row 1 is as far from both.
-        assert!(v.y == 1.0 || c.template.weights.row(i).eq([(near, 1.0)]), "{v}");
+        // In the world the joints are 4 apart, and row 1 is as far from both.
+        let near = u32::from(v.y > 2.0);
+        assert!(v.y == 2.0 || c.template.weights.row(i).eq([(near, 1.0)]), "{v}");
     }
 }
 

@@ -3,7 +3,6 @@
 use crate::scenes::{plate, sphere, two_spheres};
 use glam::{Vec2, Vec3};
 use gs_core::{Image, Rng};
-use gs_texel::surface::NONE;
 use gs_texel::texels::{MapReader, SeamRead, TexelError, TexelOptions, TexelTable};
 
 const SQUARE: [[f32; 2]; 4] = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
@@ -67,7 +66,7 @@ fn overlap_is_refused_unless_allowed_and_then_the_lower_face_wins() {
     let error = build(&SQUARE, &faces, 32).unwrap_err();
     assert!(matches!(error, TexelError::Overlap { first: 1, second: 2, .. }), "{error}");
     let uvs = SQUARE.map(Vec2::from_array);
-    let options = TexelOptions { allow_overlap: true, ..TexelOptions::default() };
+    let options = TexelOptions { allow_overlap: true };
     let table = TexelTable::build(&faces, &uvs, &faces, 32, &options).unwrap();
     let shared = table.tri.iter().filter(|face| **face == 1).count();
     assert!(shared > 400 && table.tri.iter().all(|face| *face < 2));
@@ -98,18 +97,17 @@ fn the_gutter_copies_the_nearest_texel() {
     let table = figure.table(32);
     let rows: Vec<[f32; 1]> = (0..table.len()).map(|k| [k as f32]).collect();
     let mut map = table.to_map(&rows, -7.0);
-    table.fill_gutter(&mut map);
+    table.fill_gutter(&mut map, 2);
     assert_eq!(map.pixel(6, 10), map.pixel(8, 10), "two texels out");
     assert_eq!(map.pixel(5, 10), [-7.0], "three are beyond it");
     assert_eq!(map.pixel(7, 7), map.pixel(8, 8), "the corner");
-    assert!(table.gutter.iter().all(|g| table.row[g[0] as usize] == NONE));
+    assert_eq!(table.from_map::<1>(&map), rows);
 }
 
 #[test]
 fn reading_ignores_what_lies_off_the_charts_and_its_adjoint_is_its_transpose() {
     let figure = two_spheres();
-    let options = TexelOptions { gutter: 0, ..TexelOptions::default() };
-    let table = TexelTable::build(&figure.faces, &figure.uvs, &figure.face_uvs, 96, &options).unwrap();
+    let table = figure.table(96);
     for seams in [SeamRead::Mean, SeamRead::First] {
         let n = figure.vertices.len() + 1;
         let reader = MapReader::at_vertices(&table, n, &figure.faces, &figure.uvs, &figure.face_uvs, seams);
@@ -134,16 +132,46 @@ fn a_linear_map_is_read_exactly_and_seams_are_averaged() {
     // u itself: 0.1 on one side of the seam, 0.9 on the other.
     let rows: Vec<[f32; 1]> = (0..table.len()).map(|k| [table.uv(k).x]).collect();
     let map = table.to_map(&rows, 0.0);
-    let inside: Vec<Vec2> = (1..20).map(|i| Vec2::new(0.13 + 0.035 * i as f32, 0.5)).collect();
-    for (uv, got) in inside.iter().zip(MapReader::at_uvs(&table, &inside).read(&map)) {
-        assert!((uv.x - got).abs() < 1e-6);
-    }
     let read = |seams| {
         let reader =
             MapReader::at_vertices(&table, figure.vertices.len(), &figure.faces, &figure.uvs, &figure.face_uvs, seams);
-        reader.read(&map)[1 + 5 * 24]
+        reader.read(&map)[1 + 5 * 24..][..24].to_vec()
     };
+    // Between the edges, around the middle of the chart.
+    for (j, got) in read(SeamRead::Mean).into_iter().enumerate().skip(1) {
+        let want = 0.1 + 0.8 * j as f32 / 24.0;
+        assert!((want - got).abs() < 1e-6, "{j}: {want} {got}");
+    }
     // The edge of a chart is read at the centre of its last texel.
-    assert!((read(SeamRead::Mean) - 0.5).abs() < 1.0 / 128.0);
-    assert!((read(SeamRead::First) - 0.1).abs() < 1.0 / 128.0);
+    assert!((read(SeamRead::Mean)[0] - 0.5).abs() < 1.0 / 128.0);
+    assert!((read(SeamRead::First)[0] - 0.1).abs() < 1.0 / 128.0);
+}
+
+#[test]
+fn vertices_read_their_own_chart_however_near_another_lies() {
+    // Two charts side by side without a gutter, and a thin one that has no texel at its tip, above the second.
+    let left = plate(Vec3::ZERO, Vec3::X, Vec3::Y, 2, Vec2::ZERO, Vec2::new(0.5, 0.24));
+    let split = left.vertices.len();
+    let figure = left.join(&plate(Vec3::Z, Vec3::X, Vec3::Y, 2, Vec2::new(0.5, 0.0), Vec2::new(1.0, 0.24)));
+    let mut uvs = figure.uvs.clone();
+    let tip = uvs.len() as u32;
+    uvs.extend([[5.0, 4.0], [14.0, 7.0], [14.0, 8.5]].map(|p| Vec2::from_array(p) / 16.0));
+    let mut faces = figure.faces.clone();
+    faces.push([tip, tip + 1, tip + 2]);
+    // A chart between centres, which has no texel at all, under the thin one.
+    let speck = uvs.len() as u32;
+    uvs.extend([[12.1, 12.1], [12.2, 12.1], [12.1, 12.2]].map(|p| Vec2::from_array(p) / 16.0));
+    faces.push([speck, speck + 1, speck + 2]);
+    let table = TexelTable::build(&faces, &uvs, &faces, 16, &TexelOptions::default()).unwrap();
+    assert_eq!((table.report.charts, table.report.unseen_faces), (4, 1));
+    let rows: Vec<[f32; 1]> = table.chart.iter().map(|&c| [f32::from(c)]).collect();
+    let map = table.to_map(&rows, -1e6);
+    for seams in [SeamRead::Mean, SeamRead::First] {
+        let read = MapReader::at_vertices(&table, uvs.len(), &faces, &uvs, &faces, seams).read(&map);
+        let all = |vertices: &[f32], chart: f32| vertices.iter().all(|v| (v - chart).abs() < 1e-6);
+        let thin = tip as usize;
+        assert!(all(&read[..split], 0.0) && all(&read[split..thin], 1.0), "{read:?}");
+        assert!(all(&read[thin..thin + 3], 2.0), "{read:?}");
+        assert!(read[thin + 3..].iter().all(|v| (0.0..=2.0).contains(v)), "the nearest of any chart: {read:?}");
+    }
 }

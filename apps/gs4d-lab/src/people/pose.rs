@@ -7,6 +7,7 @@ use glam::{DVec3, Vec3};
 use gs_core::Rng;
 use gs_data::Dataset;
 use gs_data::avatar::AvatarFrame;
+use gs_texel::retarget::part;
 use gs_texel::texels::TexelTable;
 use gs_texel::unproject::UnprojectConfig;
 use gs_train::evaluate::EvalReport;
@@ -90,12 +91,8 @@ fn charts(across: &'static str, split: Option<&'static str>) -> Vec<Chart> {
 pub(super) fn joint(subject: &Subject, name: Option<&str>) -> Result<u32, LabError> {
     let skeleton = &subject.scene.character.skeleton;
     let joints = || skeleton.joints.iter().map(|j| (j.node, skeleton.nodes[j.node as usize].name.as_str()));
-    let fore_arm = |name: &str| {
-        let name = name.to_lowercase();
-        let fore = ["fore", "elbow", "lower arm", "lower_arm", "lowerarm"].iter().any(|w| name.contains(w));
-        fore && (name.contains("left") || name.ends_with("_l") || name.ends_with(".l") || name.contains("_l_"))
-    };
-    let found = joints().find(|(_, n)| name.map_or_else(|| fore_arm(n), |asked| asked == *n));
+    let is_fore_arm = |name: &str| part(name).as_deref() == Some("left forearm");
+    let found = joints().find(|(_, n)| name.map_or_else(|| is_fore_arm(n), |asked| asked == *n));
     found.map(|(node, _)| node).ok_or_else(|| LabError::Unknown {
         what: "the joint",
         asked: name.unwrap_or("left fore arm").to_owned(),

@@ -69,7 +69,8 @@ impl Subject {
         let topology = Topology::new(&t.faces, t.vertices.len())?;
         let scene = Arc::new(AvatarScene { frames: kept, ..AvatarScene::clone(scene) });
         film.avatar = Some(scene.clone());
-        Ok(Self { full_film, film, scene, topology, cache: ImageCache::new(IMAGE_BYTES, 1.0) })
+        let cache = ImageCache::new(IMAGE_BYTES, 1.0).with_max_image_mib(full_film.max_image_mib);
+        Ok(Self { full_film, film, scene, topology, cache })
     }
 
     /// The evaluated frames with poses or inputs modified by `change(frame index, frame)`.

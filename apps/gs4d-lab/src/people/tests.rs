@@ -2,6 +2,7 @@
 
 use super::learning::SINGLE_UNPROJECTION;
 use super::*;
+use gs_data::{DataOptions, Dataset};
 
 fn small(frames: u32) -> Setup {
     let film = AvatarOptions { per_ring: 4, frames, size: 64, points: 500, ..Setup::default().film };
@@ -65,4 +66,27 @@ fn contact_is_measured_apart_from_the_rest() {
     apart.film.clip = Some("turn".into());
     let found = Experiment::find("topo").unwrap().run(&apart, &mut |_| ());
     assert!(matches!(found, Err(LabError::Unfit(why)) if why.contains("fore arm")));
+}
+
+#[test]
+fn inputs_are_decoded_within_the_limit_of_the_data() {
+    let dir = tempfile::tempdir().unwrap();
+    // An image takes a little more than 1 MiB.
+    let film = AvatarOptions {
+        template: "builtin:cylinder".into(),
+        size: 520,
+        rings: 1,
+        per_ring: 4,
+        frames: 1,
+        points: 0,
+        ..AvatarOptions::default()
+    };
+    gs_synth::avatar::write(dir.path(), &film, false, false).unwrap();
+    let fault = |max_image_mib| {
+        let options = DataOptions { max_image_mib, ..DataOptions::default() };
+        let subject = Subject::of(Dataset::open(dir.path(), &options).unwrap(), 1).unwrap();
+        subject.images(&subject.scene.frames[0].inputs).err().map(|e| e.to_string())
+    };
+    assert_eq!(fault(None), None);
+    assert!(fault(Some(1)).is_some_and(|e| e.contains("the limit is 1048576")));
 }

@@ -206,7 +206,8 @@ impl Trained {
     /// Those of [`Self::on`] and [`evaluate`].
     pub(super) fn scores(&self, film: &Dataset, changes: &[&str]) -> Result<EvalReport, LabError> {
         let dut = self.model(film, changes)?;
-        Ok(evaluate(&dut, film, Split::Test, [0.0; 3], &ImageCache::new(IMAGE_BYTES, 1.0))?)
+        let images = ImageCache::new(IMAGE_BYTES, 1.0).with_max_image_mib(film.max_image_mib);
+        Ok(evaluate(&dut, film, Split::Test, [0.0; 3], &images)?)
     }
 }
 

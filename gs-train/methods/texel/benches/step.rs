@@ -19,7 +19,9 @@ fn main() {
     let data = film("person", 128, 2);
     for stage in STAGES {
         let steps = |s| format!("schedule.stages.{s}.steps = {}\n", if s == stage { 1_000_000 } else { 0 });
-        let config = config(&registry, "dut", "tiny", &[&STAGES.map(steps).concat()]);
+        // A warm-up has something to learn where GauNet does not begin at its end.
+        let residual = format!("gaunet.residual = {}", stage != "warm_up");
+        let config = config(&registry, "dut", "tiny", &[&STAGES.map(steps).concat(), &residual]);
         let begin = || start(&registry, &data, "dut", &config, 1);
         let error = Some(thread_difference(begin, BEFORE));
         for threads in [1, 2] {

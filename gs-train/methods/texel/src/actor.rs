@@ -3,7 +3,7 @@
 
 use super::config::{Config, Input, Mode, ResizeRule, TextureSizes, UnseenColor};
 use glam::{Affine3A, Vec3};
-use gs_core::{Camera, Image, Time};
+use gs_core::{Camera, Image, Time, cast};
 use gs_data::avatar::{AvatarFrame, AvatarScene};
 use gs_data::{DataError, ImageCache};
 use gs_texel::Pose;
@@ -131,12 +131,19 @@ pub struct MeanTextures {
     pub geo: Vec<f32>,
     /// At GauNet's texels: what GeoNet holds images against, and what Gaussians that no camera sees look like.
     pub gau: Vec<f32>,
+    /// 1 at GauNet's texels whose colour was seen, 0 where it is in-painted; as many as texels.
+    pub known: Vec<f32>,
 }
 
 impl MeanTextures {
     /// The rows of a texture.
     pub fn rows(values: &[f32]) -> &[[f32; 3]] {
         values.as_chunks().0
+    }
+
+    /// The colours of GauNet's texels, none where they are in-painted.
+    pub(crate) fn seen(&self) -> impl Iterator<Item = Option<[f32; 3]>> {
+        Self::rows(&self.gau).iter().zip(&self.known).map(|(color, known)| (*known > 0.0).then_some(*color))
     }
 }
 
@@ -155,6 +162,15 @@ pub struct Posed {
     pub normals: Vec<Vec3>,
     /// The same without the rotation of its root.
     root_free: Vec<Vec3>,
+}
+
+/// A mean texture of one table.
+#[derive(Debug, Default)]
+pub(crate) struct MeanTexture {
+    /// Three values per texel.
+    pub(crate) colors: Vec<f32>,
+    /// 1 where the colour was seen, 0 where it is in-painted.
+    pub(crate) known: Vec<f32>,
 }
 
 /// Colours of the mean texture up to this say nothing of the light.
@@ -206,6 +222,8 @@ pub struct Second {
     pub light: [f32; 3],
     /// Light that [`Actor::relit`] put on `seen`, over that of the mean textures.
     pub relit: [f32; 3],
+    /// Light to be put on colours that texels have of their own: that of `relit` where `light` takes it off the Gaussians again.
+    pub own: [f32; 3],
     /// GauNet's input, `[S, S, 6]`.
     pub input: Vec<f32>,
 }
@@ -252,7 +270,7 @@ impl Actor {
             (of_gau || config.follow_light || deformed && config.surface.texture > 0.0).then_some(&actor.gau),
         ];
         let [geo, gau] = actor.mean_textures(wanted, |_| Ok(None)).map_err(Box::new)?;
-        actor.mean = MeanTextures { geo, gau };
+        actor.mean = MeanTextures { geo: geo.colors, gau: gau.colors, known: gau.known };
         Ok(actor)
     }
 
@@ -364,8 +382,8 @@ impl Actor {
         let seen = self.resized(again.as_ref().unwrap_or(&first.seen), &self.gau);
         let offsets = offsets.unwrap_or_else(|| vec![Vec3::ZERO; posed.canonical.len()]);
         let input = self.input(&self.gau, &seen, posed, None);
-        let (light, relit) = (first.light, [1.0; 3]);
-        Ok(Second { base: self.base(posed, &offsets)?, offsets, seen, light, relit, input })
+        let (light, relit, own) = (first.light, [1.0; 3], [1.0; 3]);
+        Ok(Second { base: self.base(posed, &offsets)?, offsets, seen, light, relit, own, input })
     }
 
     /// Where the Gaussians' texels lie.
@@ -379,8 +397,8 @@ impl Actor {
     }
 
     /// The means of textures at the texels of tables where they are seen, in-painted elsewhere, over frames that training
-    /// views show (over any, if none is); three values per texel, none for an absent table. `offsets` gives those of a frame,
-    /// none for its first texture.
+    /// views show (over any, if none is); empty for an absent table. `offsets` gives those of a frame, none for its first
+    /// texture.
     ///
     /// # Errors
     /// As reading images and unprojecting them goes; as `offsets`.
@@ -388,7 +406,7 @@ impl Actor {
         &self,
         tables: [Option<&TexelTable>; N],
         offsets: impl Fn(&AvatarFrame) -> Result<Option<Vec<Vec3>>, FrameError>,
-    ) -> Result<[Vec<f32>; N], FrameError> {
+    ) -> Result<[MeanTexture; N], FrameError> {
         let mut means = tables.map(|t| Mean::new(t.map_or(0, TexelTable::len)));
         if tables.iter().any(Option::is_some) {
             for frame in self.mean_frames() {
@@ -407,11 +425,11 @@ impl Actor {
                 }
             }
         }
-        let mut colors = [const { Vec::new() }; N];
-        for ((out, mean), table) in colors.iter_mut().zip(means).zip(tables) {
-            *out = table.map(|t| mean.colors(t)).transpose()?.unwrap_or_default().into_flattened();
+        let mut textures = std::array::from_fn(|_| MeanTexture::default());
+        for ((out, mean), table) in textures.iter_mut().zip(means).zip(tables) {
+            *out = table.map(|t| mean.texture(t)).transpose()?.unwrap_or_default();
         }
-        Ok(colors)
+        Ok(textures)
     }
 
     /// The frames a mean texture is of.
@@ -448,9 +466,9 @@ impl Actor {
         }
         let (seen, mean) = (self.resized(seen, &self.gau), MeanTextures::rows(&self.mean.gau));
         std::array::from_fn(|i| {
-            let rows = seen.colors.iter().zip(&seen.views).zip(mean);
-            let bright = rows.filter(|((_, views), mean)| **views > 0.0 && mean[i] > DARK);
-            let mut ratios: Vec<f32> = bright.map(|((color, _), mean)| color[i] / mean[i]).collect();
+            let rows = seen.colors.iter().zip(&seen.views).zip(mean.iter().zip(&self.mean.known));
+            let bright = rows.filter(|((_, views), (mean, known))| **views > 0.0 && **known > 0.0 && mean[i] > DARK);
+            let mut ratios: Vec<f32> = bright.map(|((color, _), (mean, _))| color[i] / mean[i]).collect();
             if ratios.is_empty() {
                 return 1.0;
             }
@@ -466,6 +484,7 @@ impl Actor {
         let mut relit = second.clone();
         relit.relit = gain;
         if with_image {
+            relit.own = gain;
             relit.light.iter_mut().zip(gain).for_each(|(light, gain)| *light /= gain);
         }
         let of_texels = self.gau.valid.iter().zip(&mut relit.seen.colors).zip(&second.seen.views);
@@ -521,25 +540,61 @@ impl Mean {
         }
     }
 
-    /// The means, in-painted where nothing was seen.
-    fn colors(self, table: &TexelTable) -> Result<Vec<[f32; 3]>, FrameError> {
+    /// The means. Where nothing was seen, the nearest of the chart, and in charts of which nothing was seen the mean of all.
+    fn texture(self, table: &TexelTable) -> Result<MeanTexture, FrameError> {
         let mean = |(s, n): (&[f32; 3], &f32)| s.map(|v| v / n.max(1.0));
         let mut colors: Vec<[f32; 3]> = self.sums.iter().zip(&self.counts).map(mean).collect();
         let known: Vec<bool> = self.counts.iter().map(|n| *n > 0.0).collect();
-        if !known.contains(&true) {
+        let count = known.iter().filter(|k| **k).count();
+        if count == 0 {
             return Err(FrameError::Unseen);
         }
+        // What was not seen adds 0.
+        let sum = |i: usize| colors.iter().map(|c| f64::from(c[i])).sum::<f64>();
+        let of_all = [0, 1, 2].map(|i| cast::to_f32(sum(i) / count as f64));
+        colors.iter_mut().zip(&known).filter(|(_, known)| !**known).for_each(|(c, _)| *c = of_all);
         inpaint(table, &mut colors, &known, InpaintMethod::Nearest)?;
-        Ok(colors)
+        let known = known.into_iter().map(|k| f32::from(u8::from(k))).collect();
+        Ok(MeanTexture { colors: colors.into_flattened(), known })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::Vec2;
     use gs_data::{DataOptions, Dataset};
     use gs_synth::avatar::{AvatarOptions, write};
     use gs_train::registry::own_settings;
+
+    #[test]
+    fn charts_that_no_frame_shows_have_the_mean_of_what_is_seen() {
+        // Two triangles apart: each is a chart.
+        let uvs = [[0.0, 0.0], [0.4, 0.0], [0.0, 0.8], [0.6, 0.0], [1.0, 0.0], [1.0, 0.8]].map(Vec2::from_array);
+        let faces = [[0, 1, 2], [3, 4, 5]];
+        let table = TexelTable::build(&faces, &uvs, &faces, 16, &TexelOptions::default()).unwrap();
+        // Of the first, the first texel is not seen.
+        let first = table.chart.iter().position(|c| *c == 0).unwrap();
+        let shown = |k: usize| table.chart[k] == 0 && k != first;
+        let rows = |value: &dyn Fn(usize) -> f32| (0..table.len()).map(value).collect::<Vec<f32>>();
+        let views = rows(&|k| if shown(k) { 2.0 } else { 0.0 });
+        let colors = rows(&|k| if shown(k) { 0.25 + 0.5 * table.uv(k).y } else { 0.0 });
+        let mut mean = Mean::new(table.len());
+        mean.add(&Seen { colors: colors.iter().map(|c| [*c, 0.5, 1.0]).collect(), views });
+        let MeanTexture { colors: filled, known } = mean.texture(&table).unwrap();
+        let count = (0..table.len()).filter(|k| shown(*k)).count();
+        let of_all = colors.iter().sum::<f32>() / count as f32;
+        for (k, row) in filled.chunks_exact(3).enumerate() {
+            assert_eq!(known[k], if shown(k) { 1.0 } else { 0.0 });
+            match table.chart[k] {
+                1 => assert!((row[0] - of_all).abs() < 1e-5 && row[1..] == [0.5, 1.0], "{k}: {row:?} {of_all}"),
+                _ if shown(k) => assert_eq!(row, [colors[k], 0.5, 1.0]),
+                // A neighbour's, which lies at the end of the slope.
+                _ => assert!(row[0] < of_all - 0.05 && row[1..] == [0.5, 1.0], "{k}: {row:?} {of_all}"),
+            }
+        }
+        assert!(matches!(Mean::new(table.len()).texture(&table), Err(FrameError::Unseen)));
+    }
 
     #[test]
     fn inputs_are_decoded_within_the_limit_of_the_data() {

@@ -182,7 +182,7 @@ pub enum UnseenColor {
 pub struct GauConfig {
     /// The network; its number of inputs and its degree follow from elsewhere.
     pub net: GauNetConfig,
-    /// Whether its values are added to the reference Gaussians of the warm-up.
+    /// Whether its values are added to the reference Gaussians, which leaves a warm-up nothing to learn.
     pub residual: bool,
     /// Colours of reference Gaussians that no camera sees.
     pub unseen: UnseenColor,
@@ -404,6 +404,10 @@ impl Config {
         }
         if steps("warm_up") > 0 && self.mode == Mode::Direct {
             return Err("mode = \"direct\" has no GauNet: set schedule.stages.warm_up.steps = 0".into());
+        }
+        if steps("warm_up") > 0 && self.gaunet.residual {
+            let why = "gaunet.residual = true begins where a warm-up ends: set schedule.stages.warm_up.steps = 0";
+            return Err(why.into());
         }
         Ok(())
     }

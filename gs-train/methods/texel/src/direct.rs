@@ -4,9 +4,11 @@
 //! ```text
 //! h_dc(t) = b + a ∘ (T(t) − ½)/C0        T: the timestamp's texture where seen, else its mean over the recording
 //! ```
+//! Under another light that the image has as well, these are the Gaussians of the recorded one, lit.
 
 use super::actor::{Actor, FrameError, MeanTextures, Second};
 use super::config::{Config, DirectColor};
+use super::light;
 use super::texels::{TexelRows, coefficient, reference};
 use gs_core::{Param, Params};
 use gs_texel::gaussians::{COLOR, Channels};
@@ -38,32 +40,35 @@ impl Direct {
     pub(crate) fn rows(&self, actor: &Actor, second: &Second, rows: &mut Vec<f32>) {
         rows.clear();
         rows.resize(actor.gau.len() * self.width, 0.0);
-        self.texels.add_to(rows);
-        let Some(gain) = &self.gain else { return };
-        for (k, (row, a)) in rows.chunks_exact_mut(self.width).zip(gain.value.chunks_exact(3)).enumerate() {
+        self.texels.add_to(rows, light::NONE);
+        let gains = self.gain.iter().flat_map(|gain| gain.value.chunks_exact(3));
+        for (k, (row, a)) in rows.chunks_exact_mut(self.width).zip(gains).enumerate() {
             let texture = texture(actor, second, k);
             (0..3).for_each(|i| row[COLOR + i] += a[i] * texture[i]);
+        }
+        if second.own != light::NONE {
+            rows.chunks_exact_mut(self.width).for_each(|row| light::put_on_one(&mut row[COLOR..], second.own));
         }
     }
 
     /// Adds to the gradients what rows of the same timestamp got.
     pub(crate) fn backward(&mut self, actor: &Actor, second: &Second, d_rows: &[f32]) {
-        self.texels.backward(d_rows);
+        self.texels.backward(d_rows, second.own);
         let Some(mut gain) = self.gain.take() else { return };
         for (k, (grad, d)) in gain.grad.chunks_exact_mut(3).zip(d_rows.chunks_exact(self.width)).enumerate() {
             let texture = texture(actor, second, k);
-            (0..3).for_each(|i| grad[i] += d[COLOR + i] * texture[i]);
+            (0..3).for_each(|i| grad[i] += d[COLOR + i] * second.own[i] * texture[i]);
         }
         self.gain = Some(gain);
     }
 }
 
-/// `(T − ½)/C0` of a texel.
+/// `(T − ½)/C0` of a texel, without the light that is put on its Gaussian.
 fn texture(actor: &Actor, second: &Second, k: usize) -> [f32; 3] {
-    let Second { seen, relit, .. } = second;
+    let Second { seen, relit, own, .. } = second;
     let mean = || MeanTextures::rows(&actor.mean.gau)[k];
     let color = if seen.views[k] > 0.0 { seen.colors[k] } else { std::array::from_fn(|i| mean()[i] * relit[i]) };
-    color.map(coefficient)
+    std::array::from_fn(|i| coefficient(color[i] / own[i]))
 }
 
 impl Params for Direct {

@@ -5,9 +5,10 @@
 //! ```
 //! (DUT, supplement.) What the pose's known morphs do to the bind pose is left out of the last two.
 
-use super::actor::{Actor, First, FrameError, MeanTextures};
+use super::actor::{Actor, First, FrameError};
 use super::cache::Cache;
 use super::config::{Config, LaplacianRule, NormalTarget, PointRule, SurfaceConfig};
+use super::tape::{covered, last, with_tape};
 use super::texture::texture_loss;
 use glam::Vec3;
 use gs_core::{Image, Param, Params, cast};
@@ -15,7 +16,7 @@ use gs_data::avatar::{AvatarFrame, MeasuredPoints};
 use gs_texel::skin::{skin, skin_backward};
 use gs_texel::surface_loss::{Chamfer, Colors, Isometry, NormalConsistency, SurfaceLoss, laplacian};
 use gs_texel::{GeoNet, GeoNetTape};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// Frames whose points are kept with their index.
 const FRAMES: usize = 256;
@@ -40,7 +41,7 @@ impl Geometry {
     /// If its shape does not fit.
     pub(crate) fn new(config: &Config, actor: &Actor, seed: u64) -> Result<Self, FrameError> {
         let net = GeoNet::new("geo", config.geonet_shape(), seed)?;
-        let mask: Vec<bool> = actor.geo.mask().iter().map(|m| *m > 0.0).collect();
+        let mask = covered(&actor.geo);
         let t = &actor.scene.character.template;
         let weights = config.surface;
         let normals = NormalConsistency::new(&t.faces, &actor.topology, weights.normal_rule);
@@ -62,8 +63,8 @@ impl Geometry {
     /// # Errors
     /// If the input is not finite.
     pub(crate) fn offsets(&self, actor: &Actor, first: &First) -> Result<Vec<Vec3>, FrameError> {
-        let mut tape = self.tape.lock().unwrap_or_else(PoisonError::into_inner);
-        Ok(read(actor, self.net.forward(&first.input, &mut tape)?))
+        let fresh = || self.net.tape(actor.geo.size, Some(&covered(&actor.geo)));
+        Ok(with_tape(&self.tape, fresh, |tape| Ok(read(actor, self.net.forward(&first.input, tape)?)))?)
     }
 
     /// Adds the gradient of a frame's loss, times `share`, to the weights.
@@ -77,11 +78,11 @@ impl Geometry {
         first: &First,
         share: f32,
     ) -> Result<Terms, FrameError> {
-        let tape = self.tape.get_mut().unwrap_or_else(PoisonError::into_inner);
+        let tape = last(&mut self.tape);
         let offsets = read(actor, self.net.forward(&first.input, tape)?);
         let (terms, d_offsets) = self.loss(actor, frame, first, &offsets)?;
         let d_read: Vec<f32> = d_offsets.iter().flat_map(|d| (*d * share).to_array()).collect();
-        let tape = self.tape.get_mut().unwrap_or_else(PoisonError::into_inner);
+        let tape = last(&mut self.tape);
         self.net.backward(tape, &actor.reader.adjoint(&d_read, 3).data)?;
         Ok(terms.map(|(name, v)| (name, v * share)))
     }
@@ -125,9 +126,9 @@ impl Geometry {
         world.add(lap.into(), &smooth);
         let mut drift = 0.0;
         if self.weights.texture > 0.0 {
-            let mean = MeanTextures::rows(&actor.mean.gau);
-            let lit: Vec<[f32; 3]> = mean.iter().map(|c| std::array::from_fn(|i| c[i] * first.light[i])).collect();
-            let texture = texture_loss(actor, &posed, &actor.images(frame)?, &lit)?;
+            let lit = |c: [f32; 3]| std::array::from_fn(|i| c[i] * first.light[i]);
+            let mean: Vec<Option<[f32; 3]>> = actor.mean.seen().map(|c| c.map(lit)).collect();
+            let texture = texture_loss(actor, &posed, &actor.images(frame)?, &mean)?;
             drift = f64::from(self.weights.texture) * texture.value;
             world.add(self.weights.texture.into(), &texture);
         }
@@ -189,6 +190,28 @@ mod tests {
     use super::*;
     use gs_synth::avatar::{AvatarOptions, generate};
     use gs_train::registry::own_settings;
+
+    #[test]
+    fn colours_that_no_frame_shows_pull_at_nothing() {
+        let template = "builtin:cylinder".into();
+        let film = AvatarOptions { template, size: 64, frames: 1, rings: 1, points: 400, ..AvatarOptions::default() };
+        let scene = generate(&film).unwrap().avatar.unwrap();
+        let config = gs_methods::registry().find("dut").unwrap().config("tiny").unwrap();
+        let config: Config = own_settings(config).try_into().unwrap();
+        let mut actor = Actor::new(scene.clone(), &config).unwrap();
+        let geometry = Geometry::new(&config, &actor, 1).unwrap();
+        let (frame, still) = (&scene.frames[0], vec![Vec3::ZERO; scene.character.template.vertices.len()]);
+        let first = actor.first(frame).unwrap();
+        let texture = |actor: &Actor| geometry.loss(actor, frame, &first, &still).unwrap().0[4].1;
+        let all = texture(&actor);
+        // Every second texel is one that no frame shows, and then its colour is another.
+        actor.mean.known.chunks_mut(2).for_each(|pair| pair[0] = 0.0);
+        let half = texture(&actor);
+        actor.mean.gau.chunks_exact_mut(6).for_each(|pair| pair[..3].fill(0.0));
+        assert_eq!(texture(&actor), half);
+        actor.mean.known.fill(1.0);
+        assert!(half > 0.0 && texture(&actor) > 2.0 * all, "{all} {half}");
+    }
 
     /// Where the template is the truth, nothing but the points may pull at it. Folds of the template do, unless normals are held
     /// against those at rest.

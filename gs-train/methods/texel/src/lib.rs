@@ -17,6 +17,7 @@ mod geometry;
 mod light;
 mod network;
 mod oracle;
+mod tape;
 mod texels;
 mod texture;
 
@@ -27,6 +28,7 @@ pub use config::{
 };
 pub use oracle::OracleOptions;
 
+use actor::MeanTexture;
 use cache::Cache;
 use direct::Direct;
 use geometry::Geometry;
@@ -317,7 +319,7 @@ impl Dut {
             self.add_penalty("offsets", cast::to_f32(penalty));
         }
         match &mut self.source {
-            Source::Network(net) => net.backward(&self.actor, &d_rows)?,
+            Source::Network(net) => net.backward(&self.actor, &second, &d_rows)?,
             Source::Direct(direct) => direct.backward(&self.actor, &second, &d_rows),
         }
         (self.rows, self.d_rows) = (rows, d_rows);
@@ -438,8 +440,8 @@ impl Dut {
         let due = every > 0 && self.at.step.is_multiple_of(every) && self.phase() == Phase::Geometry;
         if due && !self.actor.mean.gau.is_empty() {
             let through = |frame: &AvatarFrame| self.first(frame).and_then(|first| self.offsets(&first));
-            let [gau] = self.actor.mean_textures([Some(&self.actor.gau)], through)?;
-            self.actor.mean.gau = gau;
+            let [MeanTexture { colors, known }] = self.actor.mean_textures([Some(&self.actor.gau)], through)?;
+            (self.actor.mean.gau, self.actor.mean.known) = (colors, known);
             // Their light is relative to the mean colours.
             self.firsts.clear();
         }
@@ -450,8 +452,8 @@ impl Dut {
 impl Buffers for Dut {
     /// The mean textures, which another film would give other values of.
     fn buffers(&self, f: &mut dyn FnMut(Buffer<'_>)) {
-        let MeanTextures { geo, gau } = &self.actor.mean;
-        for (name, values) in [("mean.geo", geo), ("mean.gau", gau)] {
+        let MeanTextures { geo, gau, known } = &self.actor.mean;
+        for (name, values) in [("mean.geo", geo), ("mean.gau", gau), ("mean.known", known)] {
             if !values.is_empty() {
                 f(Buffer { name, row_width: None, merge: Merge::Keep, values });
             }
@@ -459,8 +461,8 @@ impl Buffers for Dut {
     }
 
     fn buffers_mut(&mut self, f: &mut dyn FnMut(BufferMut<'_>)) {
-        let MeanTextures { geo, gau } = &mut self.actor.mean;
-        for (name, values) in [("mean.geo", geo), ("mean.gau", gau)] {
+        let MeanTextures { geo, gau, known } = &mut self.actor.mean;
+        for (name, values) in [("mean.geo", geo), ("mean.gau", gau), ("mean.known", known)] {
             if !values.is_empty() {
                 f(BufferMut { name, row_width: None, merge: Merge::Keep, values });
             }

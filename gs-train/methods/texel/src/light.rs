@@ -7,7 +7,8 @@
 
 use gs_core::{Color, Splats, SplatsGrad, cast, sh};
 
-const NONE: [f32; 3] = [1.0; 3];
+/// The light that changes nothing.
+pub(crate) const NONE: [f32; 3] = [1.0; 3];
 
 /// Multiplies the colours of texel Gaussians, which are spherical harmonics.
 pub(crate) fn put_on(splats: &mut Splats, light: [f32; 3]) {
@@ -16,11 +17,14 @@ pub(crate) fn put_on(splats: &mut Splats, light: [f32; 3]) {
         return;
     }
     let width = 3 * (usize::from(*degree) + 1).pow(2);
+    coeffs.chunks_exact_mut(width).for_each(|row| put_on_one(row, light));
+}
+
+/// Multiplies the colours of one Gaussian, given by all of its spherical harmonics.
+pub(crate) fn put_on_one(coeffs: &mut [f32], light: [f32; 3]) {
     let half = cast::to_f32(0.5 / sh::C0);
-    for row in coeffs.chunks_exact_mut(width) {
-        row.iter_mut().enumerate().for_each(|(i, s)| *s *= light[i % 3]);
-        row.iter_mut().zip(light).for_each(|(s, light)| *s += (light - 1.0) * half);
-    }
+    coeffs.iter_mut().enumerate().for_each(|(i, s)| *s *= light[i % 3]);
+    coeffs.iter_mut().zip(light).for_each(|(s, light)| *s += (light - 1.0) * half);
 }
 
 /// Pulls cotangents of lit colours back to those of colours without.

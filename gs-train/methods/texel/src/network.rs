@@ -2,11 +2,12 @@
 
 use super::actor::{Actor, FrameError, MeanTextures, Second};
 use super::config::{Config, UnseenColor};
+use super::tape::{covered, last, with_tape};
 use super::texels::{TexelRows, coefficient, reference};
 use gs_core::{Image, Param, Params, cast};
 use gs_texel::gaussians::{COLOR, Channels, OFFSET, warm_up};
 use gs_texel::{GauNet, GauNetTape};
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 /// GauNet with the tape of one frame.
 pub(crate) struct Network {
@@ -39,7 +40,7 @@ impl Network {
                 }
             });
         }
-        let mask: Vec<bool> = actor.gau.mask().iter().map(|m| *m > 0.0).collect();
+        let mask = covered(&actor.gau);
         let reference = reference(config, actor, channels, &vec![[0.0; 3]; actor.gau.len()])?;
         let own = || TexelRows::new(channels, &vec![0.0; reference.len()]);
         Ok(Self {
@@ -77,8 +78,8 @@ impl Network {
     /// # Errors
     /// If the input is not finite.
     pub(crate) fn rows(&self, actor: &Actor, second: &Second, rows: &mut Vec<f32>) -> Result<(), FrameError> {
-        let mut tape = self.tape.lock().unwrap_or_else(PoisonError::into_inner);
-        let data = self.net.forward(&second.input, &mut tape)?.to_vec();
+        let fresh = || self.net.tape(actor.gau.size, Some(&covered(&actor.gau)));
+        let data = with_tape(&self.tape, fresh, |tape| Ok(self.net.forward(&second.input, tape)?.to_vec()))?;
         let size = actor.gau.size;
         let map = Image { width: size, height: size, channels: self.channels.width(), data };
         *rows = self.channels.gather(&map, &actor.gau.valid)?;
@@ -86,20 +87,20 @@ impl Network {
         if self.residual {
             rows.iter_mut().zip(self.reference(actor, second)).for_each(|(v, r)| *v += r);
         }
-        self.own.iter().for_each(|own| own.add_to(rows));
+        self.own.iter().for_each(|own| own.add_to(rows, second.own));
         Ok(())
     }
 
-    /// Adds the weights' gradients of the pass that [`Self::rows`] made last.
+    /// Adds the gradients of the pass that [`Self::rows`] made last, of this frame.
     ///
     /// # Errors
     /// If cotangents are not finite.
-    pub(crate) fn backward(&mut self, actor: &Actor, d_rows: &[f32]) -> Result<(), FrameError> {
-        self.own.iter_mut().for_each(|own| own.backward(d_rows));
+    pub(crate) fn backward(&mut self, actor: &Actor, second: &Second, d_rows: &[f32]) -> Result<(), FrameError> {
+        self.own.iter_mut().for_each(|own| own.backward(d_rows, second.own));
         let mut d_rows = d_rows.to_vec();
         self.scale_offsets(&mut d_rows);
         let d_map = self.channels.scatter(&d_rows, &actor.gau.valid, actor.gau.size)?;
-        let tape = self.tape.get_mut().unwrap_or_else(PoisonError::into_inner);
+        let tape = last(&mut self.tape);
         Ok(self.net.backward(tape, &d_map.data)?)
     }
 

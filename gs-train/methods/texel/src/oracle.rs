@@ -43,7 +43,8 @@ impl Dut {
             };
             errors.push(self.errors_of(|frame, _| Ok(of(frame)))?);
             if !self.actor.mean.gau.is_empty() {
-                [self.actor.mean.gau] = self.actor.mean_textures([Some(&self.actor.gau)], |frame| Ok(of(frame)))?;
+                let [renewed] = self.actor.mean_textures([Some(&self.actor.gau)], |frame| Ok(of(frame)))?;
+                (self.actor.mean.gau, self.actor.mean.known) = (renewed.colors, renewed.known);
             }
         }
         Ok(errors)

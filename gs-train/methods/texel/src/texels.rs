@@ -60,23 +60,30 @@ impl TexelRows {
         Self { width, blocks: all.into_iter().filter(|b| !b.1.is_empty()).map(block).collect() }
     }
 
-    /// Adds the values to rows.
-    pub(crate) fn add_to(&self, rows: &mut [f32]) {
+    /// Adds the values to rows, colours times `light`.
+    pub(crate) fn add_to(&self, rows: &mut [f32], light: [f32; 3]) {
         for (block, range) in &self.blocks {
+            let factors = factors(range, light);
             for (row, values) in rows.chunks_exact_mut(self.width).zip(block.value.chunks_exact(range.len())) {
-                row[range.clone()].iter_mut().zip(values).for_each(|(r, v)| *r += v);
+                row[range.clone()].iter_mut().zip(values).zip(&factors).for_each(|((r, v), f)| *r += f * v);
             }
         }
     }
 
-    /// Adds what rows got to the gradients.
-    pub(crate) fn backward(&mut self, d_rows: &[f32]) {
+    /// Adds what rows under `light` got to the gradients.
+    pub(crate) fn backward(&mut self, d_rows: &[f32], light: [f32; 3]) {
         for (block, range) in &mut self.blocks {
+            let factors = factors(range, light);
             for (grad, d) in block.grad.chunks_exact_mut(range.len()).zip(d_rows.chunks_exact(self.width)) {
-                grad.iter_mut().zip(&d[range.clone()]).for_each(|(g, d)| *g += d);
+                grad.iter_mut().zip(&d[range.clone()]).zip(&factors).for_each(|((g, d), f)| *g += f * d);
             }
         }
     }
+}
+
+/// What a light multiplies each of some channels by: colours by its own, others by 1.
+fn factors(channels: &Range<usize>, light: [f32; 3]) -> Vec<f32> {
+    channels.clone().map(|c| c.checked_sub(COLOR).map_or(1.0, |i| light[i % 3])).collect()
 }
 
 impl Params for TexelRows {

@@ -17,7 +17,8 @@ use gs_texel::unproject::{self, FuseWeight, UnprojectConfig, unproject};
 /// Least coverage of the pixels that are compared, and least share of a footprint that shows the texel's own surface.
 const COVERED: f32 = 0.99;
 
-/// The loss of a posed surface, `N` world positions, in images, against mean colours of GauNet's texels.
+/// The loss of a posed surface, `N` world positions, in images, against mean colours of GauNet's texels; texels without one do not
+/// count.
 ///
 /// Texels weigh `cos⁴` of the angle between normal and camera, whatever `unproject.fuse` is: a pixel of a slanted surface is the mean over
 /// `1/cos` as much of it, so its colour errs by a multiple of `1/cos²`, and weights go with the inverse variance.
@@ -28,7 +29,7 @@ pub(crate) fn texture_loss(
     actor: &Actor,
     surface: &[Vec3],
     images: &[(Camera, Image)],
-    mean: &[[f32; 3]],
+    mean: &[Option<[f32; 3]>],
 ) -> Result<SurfaceLoss, FrameError> {
     let (table, faces) = (&actor.gau, &actor.scene.character.template.faces);
     let normals = actor.topology.normals(surface, faces);
@@ -39,11 +40,12 @@ pub(crate) fn texture_loss(
     let mut loss = SurfaceLoss { value: 0.0, grad: vec![DVec3::ZERO; surface.len()] };
     let mut total = 0.0f64;
     for (k, weights) in seen.chunks_exact(images.len().max(1)).enumerate() {
+        let Some(wanted) = mean[k] else { continue };
         let corners = faces[table.tri[k] as usize];
         let bary = table.weights(k).map(f64::from);
         let x: DVec3 = corners.iter().zip(bary).map(|(v, b)| b * surface[*v as usize].as_dvec3()).sum();
         for (weight, (camera, image)) in weights.iter().zip(images).filter(|(w, _)| **w >= COVERED) {
-            let Some((value, d)) = compare(camera, image, x, mean[k]) else { continue };
+            let Some((value, d)) = compare(camera, image, x, wanted) else { continue };
             let n: DVec3 = corners.iter().zip(bary).map(|(v, b)| b * normals[*v as usize].as_dvec3()).sum();
             let cos = n.normalize_or_zero().dot((camera.position() - x).normalize_or_zero()).max(0.0);
             let weight = f64::from(*weight) * cos.powi(4);
@@ -90,7 +92,6 @@ fn compare(camera: &Camera, image: &Image, x: DVec3, wanted: [f32; 3]) -> Option
 #[cfg(test)]
 mod tests {
     use super::super::Config;
-    use super::super::actor::MeanTextures;
     use super::*;
     use glam::Mat3;
     use gs_synth::avatar::{AvatarOptions, generate};
@@ -105,11 +106,11 @@ mod tests {
         let scene = generate(&film).unwrap().avatar.unwrap();
         let config = gs_methods::registry().find("dut").unwrap().config("tiny").unwrap();
         let actor = Actor::new(scene.clone(), &own_settings(config).try_into::<Config>().unwrap()).unwrap();
-        let (frame, mean) = (&scene.frames[0], MeanTextures::rows(&actor.mean.gau));
+        let (frame, mean) = (&scene.frames[0], actor.mean.seen().collect::<Vec<_>>());
         let (posed, images) = (actor.pose(&frame.pose), actor.images(frame).unwrap());
         let still = skin(&posed.canonical, &posed.transforms);
         let turned = |angle: f32| -> Vec<Vec3> { still.iter().map(|p| Mat3::from_rotation_y(angle) * *p).collect() };
-        let loss = |angle: f32| texture_loss(&actor, &turned(angle), &images, mean).unwrap();
+        let loss = |angle: f32| texture_loss(&actor, &turned(angle), &images, &mean).unwrap();
         let slope = |angle: f32| -> f64 {
             let along = turned(angle).into_iter().map(|p| Vec3::Y.cross(p).as_dvec3());
             loss(angle).grad.iter().zip(along).map(|(g, a)| g.dot(a)).sum()

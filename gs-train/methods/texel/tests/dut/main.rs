@@ -54,6 +54,12 @@ mode = \"direct\"
 stages.warm_up.steps = 0
 ";
 
+/// GauNet's values are added to the reference Gaussians, at which it begins.
+const RESIDUAL: &str = "
+gaunet.residual = true
+schedule.stages.warm_up.steps = 0
+";
+
 #[test]
 fn presets_build_and_every_parameter_learns() {
     let data = film("cylinder", 32, 2);
@@ -210,20 +216,84 @@ fn colors(method: &Dut, second: &gs_method_texel::Second) -> Vec<f32> {
 fn a_method_that_shows_its_texture_has_nothing_to_learn_from_a_jittered_image() {
     let data = film("cylinder", 32, 2);
     // An untrained network adds nothing to the reference Gaussians, which have the colours of the texture.
-    let method = bare(&data, &config(&[SHORT, "gaunet.residual = true"]), 15);
-    let actor = method.actor();
-    let second = method.second(&actor.scene.frames[0]).expect("frame");
-    let plain = colors(&method, &second);
-    // No channel of the film is above 1 / 1.2.
-    let gain = [0.7, 1.0, 1.2];
-    let [with, without] = [true, false].map(|image| colors(&method, &actor.relit(&second, gain, image)));
-    let off = |other: &[f32], i: usize| {
-        let channel = plain.iter().zip(other).skip(i).step_by(3);
-        channel.fold(0.0f32, |worst, (a, b)| worst.max((a - b).abs()))
-    };
-    for (i, gain) in gain.into_iter().enumerate() {
-        assert!(off(&with, i) < 1e-5, "{i}: {}", off(&with, i));
-        assert_eq!(off(&without, i) > 0.1, gain != 1.0, "{i}: {}", off(&without, i));
+    let residual = config(&[SHORT, RESIDUAL]);
+    let learnt = config(&[SHORT, DIRECT, "direct.color = \"learnt\""]);
+    for (config, follows) in [(residual, true), (config(&[SHORT, DIRECT]), true), (learnt, false)] {
+        let mut method = bare(&data, &config, 15);
+        // Values of the texels' own are no part of the texture.
+        method.visit_mut(&mut |p| {
+            let mut rng = Rng::new(5, &p.name, 0, 0);
+            let own = p.name.starts_with("texels.");
+            p.value.iter_mut().filter(|_| own).for_each(|v| *v += 0.1 * rng.normal());
+        });
+        let actor = method.actor();
+        let second = method.second(&actor.scene.frames[0]).expect("frame");
+        let plain = colors(&method, &second);
+        // No channel of the film is above 1 / 1.2.
+        let gain = [0.7, 1.0, 1.2];
+        let [with, without] = [true, false].map(|image| colors(&method, &actor.relit(&second, gain, image)));
+        let off = |other: &[f32], i: usize| {
+            let channel = plain.iter().zip(other).skip(i).step_by(3);
+            channel.fold(0.0f32, |worst, (a, b)| worst.max((a - b).abs()))
+        };
+        for (i, gain) in gain.into_iter().enumerate() {
+            assert!(off(&with, i) < 1e-5, "{i}: {}", off(&with, i));
+            assert_eq!(off(&without, i) > 0.1, follows && gain != 1.0, "{i}: {}", off(&without, i));
+        }
+    }
+}
+
+/// Sums the colours of what it is given to draw, and says that each counts once.
+#[derive(Default)]
+struct Summed {
+    sum: f64,
+    stats: ScreenStats,
+}
+
+impl RenderView for Summed {
+    fn render(&mut self, splats: SplatsRef<'_>, grad: &mut SplatsGrad) -> Result<&ScreenStats, MethodError> {
+        grad.reset(splats);
+        grad.color.fill(1.0);
+        let gs_core::Color::Sh { coeffs, .. } = splats.color else { panic!("texel Gaussians are spherical harmonics") };
+        self.sum = coeffs.iter().map(|c| f64::from(*c)).sum();
+        Ok(&self.stats)
+    }
+}
+
+#[test]
+fn values_of_the_texels_own_have_the_gradients_of_a_step_under_another_light() {
+    let data = film("cylinder", 32, 2);
+    let (at, camera) = (Timestamp::new(data.train[0].time), data.train[0].camera.clone());
+    for over in [RESIDUAL, DIRECT] {
+        let settings = config(&[SHORT, over, "jitter = 0.5\ngaussians = { sh_degree = 1, decode.sh_active = 1 }"]);
+        let schedule = own_settings(settings.clone()).try_into::<Config>().expect("settings").schedule.trainer;
+        let mut method = bare(&data, &settings, 8);
+        let mut names = Vec::new();
+        method.visit(&mut |p| names.push(p.name.clone()));
+        names.retain(|n| ["texels.sh_dc", "texels.sh_rest", "texels.gain"].contains(&n.as_str()));
+        assert!(names.len() >= 2, "{names:?}");
+        for name in names {
+            // The sum of the colours after all values of a block have moved by as much, and their gradients.
+            let mut moved = |by: f32| {
+                let mut slope = 0.0;
+                method.visit_mut(&mut |p| {
+                    p.clear_grad();
+                    p.value.iter_mut().filter(|_| p.name == name).for_each(|v| *v += by);
+                });
+                method.begin_step(&schedule.at(8));
+                let mut drawn = Summed::default();
+                method.step(&ViewCtx { at, camera: &camera, draw: 0, last: true }, &mut drawn).expect("step");
+                method.visit(&mut |p| {
+                    slope += p.grad.iter().filter(|_| p.name == name).map(|g| f64::from(*g)).sum::<f64>();
+                });
+                (drawn.sum, slope)
+            };
+            let (before, slope) = moved(0.0);
+            let (after, _) = moved(0.25);
+            let found = (after - before) / 0.25;
+            // As linear as the colours themselves.
+            assert!((found / slope - 1.0).abs() < 1e-3, "{over} {name}: {found} {slope}");
+        }
     }
 }
 
@@ -337,6 +407,7 @@ fn settings_that_do_not_fit_are_refused() {
     for (over, why) in [
         (&["input = \"single\""][..], "has no GeoNet"),
         (&["mode = \"direct\"", "schedule.stages.warm_up.steps = 3"], "has no GauNet"),
+        (&["schedule.stages.warm_up.steps = 3"], "begins where a warm-up ends"),
         (&["schedule.stages.main.own_clock = false"], "own_clock"),
         (&["schedule.stages.main.order = 0", "schedule.stages.geometry.order = 3"], "the order must be"),
         (&["textures.geo = 60"], "multiple of 8"),
@@ -474,7 +545,7 @@ fn a_run_over_another_film_draws_the_same() {
     person.frames.truncate(1);
     let at = Timestamp::new(person.frames[0].time);
     let camera = &data.train[0].camera;
-    for over in [&[SHORT, "gaunet.residual = true"][..], &[SHORT, DIRECT]] {
+    for over in [&[SHORT, RESIDUAL][..], &[SHORT, DIRECT]] {
         let config = config(over);
         let mut trainer = start(&data, &config);
         let steps = trainer.steps();
@@ -485,7 +556,7 @@ fn a_run_over_another_film_draws_the_same() {
         let (here, there) = (of(&data), of(&other));
         let splats = |model: &Model| model.splats(&at, camera).expect("splats");
         assert!(splats(&here) == splats(&there), "{over:?}");
-        assert_eq!(mean(&*here).len(), 2);
+        assert_eq!(mean(&*here).len(), 3);
         assert!(mean(&*here) == mean(&*there));
         // Made of the other film they differ, and so does what is drawn: a checkpoint without them says nothing of them.
         assert!(mean(&*here) != mean(&bare(&other, &config, 15)));
@@ -567,7 +638,7 @@ fn published_behaviour_can_be_asked_for() {
         let second = method.second(&method.actor().scene.frames[1]).expect("frame");
         (second.seen.clone(), method.splats(&at, &data.train[0].camera).expect("splats"))
     };
-    let same_size = "textures = { unproject = 64, geo = 32, gau = 32 }\ngaunet.residual = true";
+    let same_size = &format!("textures = {{ unproject = 64, geo = 32, gau = 32 }}{RESIDUAL}");
     let (masked, _) = shown(&[SHORT, same_size]);
     let (plain, turned) = shown(&[SHORT, same_size, "resize = \"plain\""]);
     // Black bleeds in: no texel is brighter, those at borders are darker.
