@@ -111,11 +111,10 @@ impl BodyState<f64> {
     }
 }
 
-/// The point of the instantaneous screw axis nearest to the origin, `(w × v̄) / (‖w‖² + κ²)`, world units relative to the
-/// origin. `soft` (`κ`, radians per unit of time) keeps it near for a body that hardly rotates. With `soft = 0` it is exact,
-/// and the origin itself for a body that does not rotate.
-pub fn velocity_pole(twist: &Twist<f64>, soft: f64) -> [f64; 3] {
-    let square = dot3(twist.w, twist.w) + soft * soft;
+/// The point of the instantaneous screw axis nearest to the origin, `(w × v̄) / ‖w‖²`, world units relative to the origin; the
+/// origin itself for a body that does not rotate.
+pub fn velocity_pole(twist: &Twist<f64>) -> [f64; 3] {
+    let square = dot3(twist.w, twist.w);
     match square > 0.0 {
         true => scale(cross3(twist.w, twist.v), 1.0 / square),
         false => [0.0; 3],
@@ -178,11 +177,11 @@ mod tests {
         let mut rng = Rng::new(3, "centre", 0, 0);
         for _ in 0..200 {
             let twist = body(&mut rng).motion(1, Reduction::Exact).twist;
-            let pole = velocity_pole(&twist, 0.0);
+            let pole = velocity_pole(&twist);
             let pitch = scale(twist.w, dot3(twist.w, twist.v) / dot3(twist.w, twist.w));
             assert!(near(twist.velocity(pole), pitch, 1e-13));
             assert!(dot3(pole, twist.w).abs() < 1e-12);
         }
-        assert_eq!(velocity_pole(&Twist { v: [1.0; 3], w: [0.0; 3] }, 0.0), [0.0; 3]);
+        assert_eq!(velocity_pole(&Twist { v: [1.0; 3], w: [0.0; 3] }), [0.0; 3]);
     }
 }

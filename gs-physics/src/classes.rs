@@ -14,8 +14,6 @@
 //! roll-outs differ from that by the error of their integrator.
 
 use crate::extrapolate::{RowsError, same_rows};
-use crate::integrator::Integrator;
-use crate::step::{Substep, step};
 use crate::twist::{Motion, Twist};
 use crate::vec3::{add, add_scaled, norm, scale};
 use glam::Vec3;
@@ -167,24 +165,22 @@ fn translation(local: &Motion<f64>) -> Motion<f64> {
     Motion { twist: linear(v), rate: linear(a), jerk: linear(third) }
 }
 
-impl Classified {
-    /// Position (relative to the origin) after `tau` of the particle at `x`, and its rotation `(w, x, y, z)` since; `None`
-    /// for [`MotionClass::General`].
-    pub fn closed_form(&self, tau: f64, x: [f64; 3]) -> Option<([f64; 3], [f64; 4])> {
-        (self.class != MotionClass::General)
-            .then(|| step(Integrator::Se3Mid, &self.model, &Substep::averaged(tau), x, [1.0, 0.0, 0.0, 0.0]))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::integrator::Integrator;
+    use crate::step::{Substep, step};
     use crate::truth;
     use crate::vec3::sub;
     use gs_core::Rng;
 
+    /// Position after `tau` of the particle at `x`, and its rotation since, by the model of a class.
+    fn carried(found: &Classified, tau: f64, x: [f64; 3]) -> ([f64; 3], [f64; 4]) {
+        step(Integrator::Se3Mid, &found.model, &Substep::averaged(tau), x, [1.0, 0.0, 0.0, 0.0])
+    }
+
     fn off(found: &Classified, motion: &Motion<f64>, tau: f64, x: [f64; 3], reach: f64) -> f64 {
-        let (got, q) = found.closed_form(tau, x).unwrap();
+        let (got, q) = carried(found, tau, x);
         let (want, turn) = truth::follow(motion, tau, x);
         let cos: f64 = (0..4).map(|c| q[c] * turn[c]).sum::<f64>().abs().min(1.0);
         norm(sub(got, want)) + 2.0 * cos.acos() * reach
@@ -204,7 +200,8 @@ mod tests {
         for (t, class) in want {
             let found = rule(t.span).classify(&t.motion, t.start, 0.1);
             assert_eq!(found.class, class, "{}", t.name);
-            if let Some((x, q)) = found.closed_form(t.span, t.start) {
+            if class != MotionClass::General {
+                let (x, q) = carried(&found, t.span, t.start);
                 assert!(
                     t.position_error(x) < 1e-13 && t.rotation_error(q) < 1e-13,
                     "{}: {}",

@@ -54,7 +54,8 @@ pub trait Dynamics: Params + Send + Sync {
         Vec::new()
     }
 
-    /// The motion of each particle from its start on, about [`Dynamics::origin`]; for a velocity field its local twist.
+    /// The motion of each particle from its start on, about [`Dynamics::origin`]; for a velocity field the local twist, and the
+    /// acceleration of the particle there.
     fn motions(&self, start: Start<'_>) -> Vec<Motion<f32>>;
 
     /// Whether [`Dynamics::motions`] read at one time hold for all later times (a law), or the network must be evaluated

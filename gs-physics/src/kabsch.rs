@@ -126,15 +126,6 @@ impl PairSums {
         let status = if unique { FitStatus::Unique } else { FitStatus::AmbiguousRotation };
         Rigid { rotation, translation: q - rotation * p, status }
     }
-
-    /// `√(Σ w |R p + t − q|² / Σ w)`, world units, for the best or any other rigid motion.
-    pub fn residual(&self, motion: &Rigid) -> f64 {
-        let [p, q] = self.means();
-        let spread = |k: usize| self.squares[k] - self.first[k].length_squared() / self.weight;
-        let s = self.covariance();
-        let inner = spread(0) + spread(1) - 2.0 * trace(&(motion.rotation * s));
-        (inner.max(0.0) / self.weight + (motion.apply(p) - q).length_squared()).sqrt()
-    }
 }
 
 /// The rigid motion that fits pairs `(p, q)` with weights (1 each if `None`) best; in several parts by [`PairSums`].
@@ -229,10 +220,6 @@ fn jacobi_rotate(a: &mut [[f64; 4]; 4], v: &mut [[f64; 4]; 4], p: usize, q: usiz
             (*x, *y) = (c * *x - s * *y, s * *x + c * *y);
         }
     }
-}
-
-fn trace(m: &DMat3) -> f64 {
-    m.x_axis.x + m.y_axis.y + m.z_axis.z
 }
 
 #[cfg(test)]

@@ -69,5 +69,5 @@ pub use integrator::Integrator;
 pub use law::{AccelMap, Law, LawConfig, LawForm, LawInput, LawTape};
 pub use rollout::{RollTape, Rollout};
 pub use step::{Affine, step_map};
-pub use twist::{Motion, Orders, Twist};
+pub use twist::{Motion, Twist};
 pub use velocity::{VelocityConfig, VelocityField, VelocityTape};

@@ -1,9 +1,8 @@
 //! Twists: the velocity fields of rigid bodies, and how they change.
 
-use crate::vec3::{V3, add, add_scaled, scale, sub};
+use crate::vec3::{add, add_scaled, scale, sub};
 use gs_core::real::cross3;
 use gs_core::{Real, cast};
-use serde::{Deserialize, Serialize};
 
 /// The velocity field `u(x) = v + w × (x − o)` of a rigid body, about an origin `o` stored elsewhere.
 ///
@@ -31,15 +30,6 @@ pub struct Motion<T> {
     pub rate: Twist<T>,
     /// Second derivative by time; zero below the third order.
     pub jerk: Twist<T>,
-}
-
-/// How many coefficients of a [`Motion`] are used, for translation and rotation: 0 (at rest) … 3 (with jerk).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub struct Orders {
-    /// Order of the translation `v̄`, 0 to 3.
-    pub t: u8,
-    /// Order of the rotation `w`, 0 to 3.
-    pub r: u8,
 }
 
 /// Number of values in a [`Motion`].
@@ -104,15 +94,6 @@ impl<T: Real> Motion<T> {
     /// Acceleration at `τ = 0` of the particle at `x`, relative to the origin: `ā + ε×x + w×u(x)`.
     pub fn acceleration(&self, x: [T; 3]) -> [T; 3] {
         add(self.rate.velocity(x), cross3(self.twist.w, self.twist.velocity(x)))
-    }
-
-    /// The same motion with all coefficients beyond `orders` set to zero.
-    pub fn truncated(&self, orders: Orders) -> Self {
-        let keep = |t: &Twist<T>, order: u8| {
-            let cut = |a: V3<T>, kept: bool| if kept { a } else { [a[0].lit(0.0); 3] };
-            Twist { v: cut(t.v, orders.t >= order), w: cut(t.w, orders.r >= order) }
-        };
-        Self { twist: keep(&self.twist, 1), rate: keep(&self.rate, 2), jerk: keep(&self.jerk, 3) }
     }
 
     /// All 18 values: twist, rate, jerk, `v` before `w` in each.
@@ -187,16 +168,6 @@ mod tests {
         let bend = scale(add(sub(ahead, x), sub(behind, x)), 1.0 / (h * h));
         let (v, a) = (m.twist.velocity(x), m.acceleration(x));
         assert!((0..3).all(|c| (slope[c] - v[c]).abs() < 1e-4 && (bend[c] - a[c]).abs() < 1e-4), "{bend:?} {a:?}");
-    }
-
-    #[test]
-    fn orders_keep_what_they_name() {
-        let m = motion(3);
-        assert_eq!(m.truncated(Orders { t: 3, r: 3 }), m);
-        assert_eq!(m.truncated(Orders { t: 0, r: 0 }), Motion::default());
-        let some = m.truncated(Orders { t: 2, r: 1 });
-        let still = [0.0; 3];
-        assert_eq!((some.twist, some.rate.v, some.rate.w, some.jerk.v), (m.twist, m.rate.v, still, still));
     }
 
     #[test]

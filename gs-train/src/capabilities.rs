@@ -150,6 +150,12 @@ pub trait ParticleSource {
     /// The particles at the last time the deformation is asked for.
     fn particles(&self) -> Particles;
 
+    /// Twists as in [`Particles::twists`] that rule the splats at another normalised time; `None`: those of [`Self::particles`] go on
+    /// to it.
+    fn twists_at(&self, _t: f64) -> Option<Vec<[[f32; 3]; 6]>> {
+        None
+    }
+
     /// Rigid bodies whose paths are known as wholes, with the error of their forecasts at these normalised times.
     fn bodies(&self, _times: &[f64]) -> Vec<RigidBody> {
         Vec::new()

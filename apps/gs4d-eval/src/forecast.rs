@@ -17,10 +17,12 @@ use gs_train::timestamp::Timestamp;
 use serde::Serialize;
 use std::time::Instant;
 
+pub mod bodies;
 pub mod page;
 pub mod path;
 pub mod physics;
 
+pub use bodies::TimedBody;
 pub use path::CameraPath;
 pub use physics::Physics;
 
@@ -120,6 +122,11 @@ impl Clock {
         let start = first.seconds - rate * f64::from(first.normalised);
         let known = rate > 0.0 && rate.is_finite() && ((rate - 1.0).abs() > 1e-6 || start.abs() > 1e-6);
         known.then_some(Self { start, rate })
+    }
+
+    /// The unit of time of the data, and how many of it the sequence 0..1 lasts: `s`, or 1 `sequence` without a clock.
+    pub fn unit(clock: Option<Self>) -> (&'static str, f64) {
+        clock.map_or(("sequence", 1.0), |c| ("s", c.rate))
     }
 
     /// The [`Time`] of normalised time `t`; without a clock, seconds equal `t`.

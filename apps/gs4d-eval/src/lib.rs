@@ -3,6 +3,7 @@
 //! * [`folders`], [`compare`], [`temporal`]: given images against ground truth, frame by frame and over time.
 //! * [`covisible`]: masks of what training images show of held-out views.
 //! * [`forecast`]: frames past the last training time; [`physics_check`]: learnt motion against known twists.
+//! * [`moments`]: the times at which a scene was seen, over all splits.
 //! * [`layers`]: colours per splat that are drawn in place of the scene's own.
 //! * [`segment`]: rigid parts; [`track`]: the path of one part; [`stage_motion`]: what each stage of a method moves.
 //! * [`export`]: plain splats per timestamp (`.ply`, `.splat`, `.spz`, `.glb`) and the PSNR this costs.
@@ -16,6 +17,7 @@ pub mod export;
 pub mod folders;
 pub mod forecast;
 pub mod layers;
+pub mod moments;
 pub mod particles;
 pub mod physics_check;
 pub mod segment;

@@ -1,7 +1,7 @@
 //! Splats as rigid particles with the motions of [`gs_physics`].
 
 use glam::Vec3;
-use gs_core::Splats;
+use gs_core::{Splats, cast};
 use gs_physics::{Motion, Twist};
 use gs_train::model::Model;
 
@@ -24,12 +24,19 @@ impl Particles {
     /// The particles of a model; `None` if its method does not learn twists.
     pub fn of(model: &Model) -> Option<Self> {
         let found = model.capabilities().particles?.particles();
-        let motion = |[v, w, dv, dw, ddv, ddw]: &[[f32; 3]; 6]| Motion {
-            twist: Twist { v: *v, w: *w },
-            rate: Twist { v: *dv, w: *dw },
-            jerk: Twist { v: *ddv, w: *ddw },
-        };
         let motions = found.twists.iter().map(motion).collect();
         Some(Self { at: found.at, splats: found.splats, motions, origin: found.origin, lasting: found.lasting })
     }
+
+    /// The motions that rule the splats of the same model at another normalised time: its own there, or these as they go on.
+    pub fn motions_at(&self, model: &Model, t: f64) -> Vec<Motion<f32>> {
+        let own = model.capabilities().particles.and_then(|source| source.twists_at(t));
+        let later = || self.motions.iter().map(|m| m.from(cast::to_f32(t - self.at))).collect();
+        own.map_or_else(later, |twists| twists.iter().map(motion).collect())
+    }
+}
+
+fn motion([v, w, dv, dw, ddv, ddw]: &[[f32; 3]; 6]) -> Motion<f32> {
+    let twist = |v: &[f32; 3], w: &[f32; 3]| Twist { v: *v, w: *w };
+    Motion { twist: twist(v, w), rate: twist(dv, dw), jerk: twist(ddv, ddw) }
 }

@@ -25,7 +25,7 @@ pub struct PhysicsOptions {
     pub opacity: f32,
     /// Largest distance of a particle from the surface, world units.
     pub tolerance: f64,
-    /// Normalised times at which positions are compared.
+    /// Normalised times at which positions are compared, where motions last.
     pub times: Vec<f64>,
 }
 
@@ -95,10 +95,10 @@ pub struct BodyErrors {
     pub w: ErrorStats,
     /// `ū(x)` at the particle, world units per unit of time squared.
     pub acceleration: ErrorStats,
-    /// Rate `v̄'` of the velocity `v̄`, per unit of time.
-    pub v_rate: ErrorStats,
-    /// Rate `w'` of the rotation vector `w`, per unit of time.
-    pub w_rate: ErrorStats,
+    /// Rate `v̄'` of the velocity `v̄`, per unit of time; absent where motions do not last.
+    pub v_rate: Option<ErrorStats>,
+    /// Rate `w'` of the rotation vector `w`, per unit of time; absent where motions do not last.
+    pub w_rate: Option<ErrorStats>,
     /// Displacement from the time of the particles to each time of [`PhysicsOptions::times`], world units: its error is that of
     /// the position.
     pub way: Vec<ErrorStats>,
@@ -122,7 +122,7 @@ pub struct PhysicsReport {
     pub scene: &'static str,
     /// Normalised time of the particles.
     pub at: f64,
-    /// Options that the comparison was made with.
+    /// Options that the comparison was made with; without times where motions do not last.
     pub options: PhysicsOptions,
     /// Number of particles of the model.
     pub particles: usize,
@@ -132,10 +132,12 @@ pub struct PhysicsReport {
     pub bodies: Vec<BodyReport>,
 }
 
-/// Compares particles with the ground truth of their scene.
+/// Compares particles with the ground truth of their scene. Where their motions do not last, those of a flow, rates and later
+/// places are left out: a particle goes on into another motion.
 pub fn check(particles: &Particles, truth: &Truth, options: &PhysicsOptions) -> PhysicsReport {
     let opaque = (0..particles.motions.len()).filter(|&i| particles.splats.opacities[i] >= options.opacity);
     let opaque: Vec<usize> = opaque.collect();
+    let times = if particles.lasting { options.times.clone() } else { Vec::new() };
     let mut rows = vec![Vec::new(); truth.bodies().len()];
     for &i in &opaque {
         let x = particles.splats.means[i].as_dvec3();
@@ -146,15 +148,16 @@ pub fn check(particles: &Particles, truth: &Truth, options: &PhysicsOptions) -> 
     let report = |(k, rows): (usize, Vec<usize>)| BodyReport {
         name: truth.bodies()[k].name,
         particles: rows.len(),
-        errors: Some(rows).filter(|r| !r.is_empty()).and_then(|r| errors(particles, &r, truth, k, &options.times)),
+        errors: Some(rows).filter(|r| !r.is_empty()).and_then(|r| errors(particles, &r, truth, k, &times)),
     };
+    let bodies = rows.into_iter().enumerate().map(report).collect();
     PhysicsReport {
         scene: truth.scene(),
         at: particles.at,
-        options: options.clone(),
+        options: PhysicsOptions { times, ..options.clone() },
         particles: particles.motions.len(),
         opaque: opaque.len(),
-        bodies: rows.into_iter().enumerate().map(report).collect(),
+        bodies,
     }
 }
 
@@ -187,8 +190,8 @@ fn errors(particles: &Particles, rows: &[usize], truth: &Truth, body: usize, tim
         v: twist(|m| m.twist.v),
         w: twist(|m| m.twist.w),
         acceleration: ErrorStats::of(learnt.iter().map(accelerations)),
-        v_rate: twist(|m| m.rate.v),
-        w_rate: twist(|m| m.rate.w),
+        v_rate: particles.lasting.then(|| twist(|m| m.rate.v)),
+        w_rate: particles.lasting.then(|| twist(|m| m.rate.w)),
         way: times.iter().map(|&t| displacement(particles, rows, truth, body, t)).collect(),
     })
 }
@@ -227,8 +230,8 @@ impl PhysicsReport {
         for b in &self.bodies {
             let _ = write!(out, "{:14}{:>9}", b.name, b.particles);
             if let Some(e) = &b.errors {
-                for s in [&e.velocity, &e.w, &e.acceleration, &e.w_rate] {
-                    let _ = write!(out, "{:>22}", relative_text(s));
+                for s in [Some(&e.velocity), Some(&e.w), Some(&e.acceleration), e.w_rate.as_ref()] {
+                    let _ = write!(out, "{:>22}", s.map_or("-".to_owned(), relative_text));
                 }
                 for s in &e.way {
                     let _ = write!(out, "{:>20}", format!("{:.4} ({:.4})", s.median, s.p95));
@@ -252,7 +255,7 @@ fn relative_text(s: &ErrorStats) -> String {
 mod tests {
     use super::*;
     use gs_core::{Color, Splats};
-    use gs_physics::Orders;
+    use gs_physics::Twist;
     use gs_synth::{self as synth, SynthOptions};
 
     /// What cameras see of a scene at 0.7, with the motion it really has, about `origin`.
@@ -295,7 +298,9 @@ mod tests {
             assert_eq!(report.bodies.iter().map(|b| b.particles).sum::<usize>(), particles.motions.len());
             for b in &report.bodies {
                 let e = b.errors.as_ref().unwrap();
-                for s in [&e.velocity, &e.v, &e.w, &e.acceleration, &e.v_rate, &e.w_rate].into_iter().chain(&e.way) {
+                let rates = e.v_rate.iter().chain(&e.w_rate);
+                assert_eq!(rates.clone().count(), 2);
+                for s in [&e.velocity, &e.v, &e.w, &e.acceleration].into_iter().chain(rates).chain(&e.way) {
                     assert!(s.p95 < 2e-6 * (1.0 + s.truth), "{scene}, {}: {e:?}", b.name);
                 }
                 let moves = b.name != "slab" && b.name != "base";
@@ -318,7 +323,8 @@ mod tests {
         let e = errors_of(&wrong, "block");
         let [w, v] = [&e.w, &e.v].map(|s| s.relative().unwrap()[0]);
         assert!((w - 0.1).abs() < 1e-5 && (e.v.median - 0.2).abs() < 1e-5 && v > 0.05, "{w} {v}");
-        assert!((e.v_rate.median - 0.4).abs() < 1e-5 && e.v_rate.relative().is_none(), "the truth is zero");
+        let rate = e.v_rate.unwrap();
+        assert!((rate.median - 0.4).abs() < 1e-5 && rate.relative().is_none(), "the truth is zero");
         assert!(e.velocity.relative().unwrap()[0] > 0.05 && e.way[3].median > 0.02);
         // The slab has its own truth: it rests.
         assert!((errors_of(&wrong, "slab").velocity.p95 - 0.2).abs() < 1e-5);
@@ -329,19 +335,31 @@ mod tests {
     #[test]
     fn positions_miss_by_what_was_left_out() {
         let (mut particles, truth) = seen("falling", Vec3::ZERO);
-        particles.motions.iter_mut().for_each(|m| *m = m.truncated(Orders { t: 1, r: 1 }));
+        particles.motions.iter_mut().for_each(|m| *m = Motion { twist: m.twist, ..Motion::default() });
         let first = report(&particles, &truth);
         let e = errors_of(&first, "ball");
         assert!((e.way[3].median - 0.5 * 4.4 * 0.3 * 0.3).abs() < 1e-5 && e.acceleration.relative().unwrap()[1] == 1.0);
         assert!(e.velocity.p95 < 1e-6, "velocities are right");
         let (mut particles, truth) = seen("projectile", Vec3::ZERO);
-        particles.motions.iter_mut().for_each(|m| *m = m.truncated(Orders { t: 2, r: 2 }));
+        particles.motions.iter_mut().for_each(|m| m.jerk = Twist::default());
         let second = report(&particles, &truth);
         let e = errors_of(&second, "block");
         let motion = truth.bodies()[0].motion;
         let jerk = (motion.spin_axis.normalize() * motion.spin_rate).cross(motion.gravity).length();
         let want = jerk * 0.3f64.powi(3) / 6.0;
         assert!(e.acceleration.p95 < 1e-5 && (e.way[3].median / want - 1.0).abs() < 0.3, "{} {want}", e.way[3].median);
+    }
+
+    #[test]
+    fn motions_that_do_not_last_have_no_rates_and_no_way() {
+        let (mut particles, truth) = seen("screw", Vec3::ZERO);
+        particles.lasting = false;
+        let flow = report(&particles, &truth);
+        let e = errors_of(&flow, "block");
+        assert!([e.velocity, e.acceleration].iter().all(|s| s.p95 < 1e-5 * (1.0 + s.truth)), "where it is: {e:?}");
+        assert!(e.v_rate.is_none() && e.w_rate.is_none() && e.way.is_empty() && flow.options.times.is_empty());
+        let text = flow.to_text();
+        assert!(!text.contains("place at") && text.lines().last().is_some_and(|row| row.ends_with(" -")), "{text}");
     }
 
     #[test]

@@ -6,10 +6,11 @@
 
 mod kalman;
 
+use crate::moments::Moment;
 use glam::{DMat3, DVec3};
 use gs_core::io::{Limits, read_text};
 use gs_core::{Camera, Splats, Time, cast};
-use gs_data::{Dataset, Split};
+use gs_data::Dataset;
 use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::timestamp::Timestamp;
@@ -22,6 +23,8 @@ use std::path::Path;
 pub struct Track {
     /// Time and position (world units) of each measurement, in order of time.
     pub places: Vec<(Time, DVec3)>,
+    /// The moments of the data.
+    moments: Vec<Moment>,
 }
 
 /// A track that cannot be used.
@@ -63,7 +66,7 @@ pub enum TrackError {
     Beyond {
         /// The frame in the file.
         frame: f64,
-        /// Number of distinct times of all views.
+        /// Number of moments of all views.
         moments: usize,
     },
     /// The track has no position at or before the last training time.
@@ -72,24 +75,28 @@ pub enum TrackError {
 }
 
 impl Track {
-    /// Reads lines `frame,x,y,z` (`#` starts a comment line). The smallest frame is the first time of the data, and each
+    /// Reads lines `frame,x,y,z` (`#` starts a comment line). The smallest frame is the first moment of the data, and each
     /// following frame the next one.
     ///
     /// # Errors
-    /// If the file cannot be read, a line is not four finite numbers, or there are more frames than times.
+    /// If the file cannot be read, a line is not four finite numbers, or there are more frames than moments.
     pub fn read(path: &Path, dataset: &Dataset) -> Result<Self, TrackError> {
-        let mut moments: Vec<Time> = Split::ALL.iter().flat_map(|s| dataset.views(*s)).map(|v| v.time).collect();
-        moments.sort_by(|a, b| a.normalised.total_cmp(&b.normalised));
-        moments.dedup_by_key(|t| t.normalised);
+        let moments = Moment::all(dataset);
         let lines = lines(path)?;
         let first = lines.iter().map(|l| l.0).fold(f64::INFINITY, f64::min);
         let place = |(frame, x): (f64, DVec3)| {
-            let time = moments.get(cast::to_usize((frame - first).round()));
-            time.map(|t| (*t, x)).ok_or(TrackError::Beyond { frame, moments: moments.len() })
+            let moment = moments.get(cast::to_usize((frame - first).round()));
+            moment.map(|m| (m.time, x)).ok_or(TrackError::Beyond { frame, moments: moments.len() })
         };
         let mut places = lines.into_iter().map(place).collect::<Result<Vec<_>, _>>()?;
         places.sort_by(|a, b| a.0.normalised.total_cmp(&b.0.normalised));
-        Ok(Self { places })
+        Ok(Self { places, moments })
+    }
+
+    /// Number of measurements up to the moment of a normalised time.
+    fn until(&self, t: f32) -> usize {
+        let last = Moment::nearest(&self.moments, t).map_or(t, |m| m.time.normalised);
+        self.places.iter().filter(|p| p.0.normalised <= last).count()
     }
 }
 
@@ -189,8 +196,7 @@ pub fn follow(
     last_time: f32,
     radius: f64,
 ) -> Result<TrackReport, TrackError> {
-    const SLACK: f32 = 1e-6;
-    let seen = track.places.iter().filter(|p| p.0.normalised <= last_time + SLACK).count();
+    let seen = track.until(last_time);
     let Some(anchor) = seen.checked_sub(1) else { return Err(TrackError::NoStart(last_time)) };
     let (begin, from) = track.places[anchor];
     let body = Body::near(&method.all_splats(&Timestamp::new(begin), camera)?, from, radius);
@@ -350,5 +356,29 @@ mod tests {
             assert!(Track::read(&path, &data).unwrap_err().to_string().contains(fault), "{text}");
         }
         assert!(Track::read(&dir.path().join("none"), &data).is_err());
+    }
+
+    /// Four cameras, each late by its own thousandth, and a test camera that is later still.
+    #[test]
+    fn frames_are_moments_even_where_cameras_are_not_quite_together() {
+        let options =
+            SynthOptions { size: 8, cameras: 4, held_out: 1, moments: 6, supersample: 1, ..SynthOptions::default() };
+        let mut data = synth::generate("balls", &options).unwrap().dataset;
+        for view in [&mut data.train, &mut data.test, &mut data.extrapolate].into_iter().flatten() {
+            view.time.normalised += 1e-3 * view.camera_id as f32;
+        }
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("track.csv");
+        let lines = |frames: std::ops::Range<u32>| frames.map(|k| format!("{k},0,0,{k}\n")).collect::<String>();
+        std::fs::write(&path, lines(7..13)).unwrap();
+        let track = Track::read(&path, &data).unwrap();
+        for (k, (time, x)) in track.places.iter().enumerate() {
+            assert!((time.normalised - (0.2 * k as f32 + 2e-3)).abs() < 1e-6 && x.z == 7.0 + k as f64, "{time:?} {x}");
+        }
+        // The last training camera is before the mean of its moment.
+        let last = data.train.iter().filter(|v| v.camera_id < 2).map(|v| v.time.normalised).fold(0.0, f32::max);
+        assert_eq!((track.places.len(), track.until(last), track.until(0.0)), (6, 4, 1));
+        std::fs::write(&path, lines(7..14)).unwrap();
+        assert!(Track::read(&path, &data).unwrap_err().to_string().contains("beyond the 6 moments"));
     }
 }

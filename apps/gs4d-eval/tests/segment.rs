@@ -131,16 +131,19 @@ impl Method for Cast {
 
 impl ParticleSource for Cast {
     fn particles(&self) -> Particles {
+        let splats = self.splats(&Timestamp::normalised(AT as f32), &neutral_camera()).unwrap();
+        Particles { at: AT, splats, twists: self.twists_at(AT).unwrap(), origin: ORIGIN.as_vec3(), lasting: true }
+    }
+
+    fn twists_at(&self, t: f64) -> Option<Vec<[[f32; 3]; 6]>> {
         let noise = self.noise.unwrap();
         let twists = |(i, (body, _)): (usize, &(usize, DVec3))| {
-            let mut m = self.data.truth.twist_of(*body, AT, ORIGIN).unwrap().to_f32();
+            let mut m = self.data.truth.twist_of(*body, t, ORIGIN).unwrap().to_f32();
             let mut rng = Rng::new(1, "noise", 0, i as u64);
             m.twist.v.iter_mut().chain(&mut m.twist.w).for_each(|x| *x += noise * x.abs().max(0.2) * rng.normal());
             [m.twist, m.rate, m.jerk].map(|twist| [twist.v, twist.w]).concat().try_into().unwrap()
         };
-        let splats = self.splats(&Timestamp::normalised(AT as f32), &neutral_camera()).unwrap();
-        let twists = self.points.iter().enumerate().map(twists).collect();
-        Particles { at: AT, splats, twists, origin: ORIGIN.as_vec3(), lasting: true }
+        Some(self.points.iter().enumerate().map(twists).collect())
     }
 }
 
@@ -249,6 +252,18 @@ fn parts_move_as_their_bodies_do() {
     }
 }
 
+/// Balls on an orbit: no motion of theirs at [`AT`] goes back to how they moved long before.
+#[test]
+fn motions_at_another_time_are_those_of_that_time() {
+    let cast = Cast::new("balls", Some(0.0));
+    let labels = cast.segment(&Options { at: Some(0.125), ..Options::default() });
+    for ((body, _), m) in cast.points.iter().zip(&labels.particles.motions) {
+        let truth = cast.data.truth.twist_of(*body, 0.125, ORIGIN).unwrap().twist;
+        let far = |a: [f32; 3], b: [f64; 3]| (Vec3::from(a).as_dvec3() - DVec3::from(b)).length();
+        assert!(far(m.twist.v, truth.v) < 1e-4 && far(m.twist.w, truth.w) < 1e-4, "{body}: {m:?} {truth:?}");
+    }
+}
+
 /// Tracks by the splats that pixels see against tracks of the material points themselves.
 #[test]
 fn the_motion_of_a_scene_is_that_of_its_material_points() {
@@ -306,6 +321,27 @@ fn changes_of_velocity_are_those_between_training_times() {
     assert!((many.velocity / few.velocity - 1.0).abs() < 1e-3, "{few:?} {many:?}");
     assert!((many.acceleration / few.acceleration - 1.0 / 3.0).abs() < 1e-3, "{few:?} {many:?}");
     assert!((many.acceleration_per_time / few.acceleration_per_time - 1.0).abs() < 1e-3, "{few:?} {many:?}");
+}
+
+/// A second camera at the same place, late by a fortieth of the interval, sees the same moments.
+#[test]
+fn cameras_that_are_not_quite_together_see_one_motion() {
+    let cast = Cast::new("balls", None);
+    let seen_by = |cameras: u32| {
+        let view = &cast.data.dataset.train[0];
+        let at = |(k, camera): (u32, u32)| {
+            let mut view = view.clone();
+            view.camera_id = camera;
+            view.time.normalised = k as f32 / 12.0 + 0.002 * camera as f32;
+            view
+        };
+        let mut dataset = cast.data.dataset.without_views();
+        dataset.train = (0..12).flat_map(|k| (0..cameras).map(move |camera| (k, camera))).map(at).collect();
+        scene_complexity(&cast.model(), &dataset).unwrap()
+    };
+    let (one, two) = (seen_by(1), seen_by(2));
+    assert!((two.velocity / one.velocity - 1.0).abs() < 0.05, "{one:?} {two:?}");
+    assert!((two.acceleration / one.acceleration - 1.0).abs() < 0.1, "{one:?} {two:?}");
 }
 
 #[test]

@@ -19,11 +19,16 @@ const LEGEND_COLORS: usize = 9;
 /// Quantiles that bound the colour span of an attribute without an interval of its own, against outliers.
 const SPAN_QUANTILES: [f64; 2] = [0.01, 0.99];
 
-/// All overlays at the time of a view, over black.
+/// All overlays at the time of a view, over black; parts by the motion up to `observed`, the last training time, normalised.
 ///
 /// # Errors
 /// If the model cannot produce its splats.
-pub(crate) fn overlay_figures(method: &Model, view: &View, camera: &Camera) -> Result<Vec<OverlayFigure>, MethodError> {
+pub(crate) fn overlay_figures(
+    method: &Model,
+    view: &View,
+    camera: &Camera,
+    observed: f32,
+) -> Result<Vec<OverlayFigure>, MethodError> {
     let at = Timestamp::new(view.time);
     let splats = method.all_splats(&at, camera)?;
     let mut renderer = Renderer::new(RasterOptions { background: [0.0; 3], ..method.raster_options([0.0; 3]) });
@@ -45,18 +50,19 @@ pub(crate) fn overlay_figures(method: &Model, view: &View, camera: &Camera) -> R
         let (name, legend) = (overlay.name.to_owned(), Legend::Words(overlay.meaning.to_owned()));
         figures.push(OverlayFigure { name, image: render(&splats, overlay)?, legend, histogram: None });
     }
-    figures.extend(parts_figure(method, &splats, &mut render)?);
+    figures.extend(parts_figure(method, observed, &splats, &mut render)?);
     Ok(figures)
 }
 
 /// The rigid parts, for methods that learn twists.
 fn parts_figure(
     method: &Model,
+    observed: f32,
     splats: &Splats,
     render: &mut impl FnMut(&Splats, Overlay) -> Result<gs_core::Image, MethodError>,
 ) -> Result<Option<OverlayFigure>, MethodError> {
     let has_twists = method.capabilities().particles.is_some();
-    let labels = has_twists.then(|| segment::segment(method, &segment::Options::default()).ok()).flatten();
+    let labels = has_twists.then(|| layers::parts(method, observed).ok()).flatten();
     let Some(labels) = labels.filter(|labels| labels.of.len() == splats.len()) else { return Ok(None) };
     let colors = layers::part_colors(&labels);
     let kind = |p: &segment::Part| {
@@ -115,9 +121,15 @@ fn number(v: f32) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::{DVec3, Vec3};
+    use gs_core::{Param, Params, Time};
+    use gs_data::ImageSource;
     use gs_synth::{self as synth, SynthOptions};
+    use gs_train::capabilities::{Capabilities, ParticleSource, Particles};
+    use gs_train::method::{Buffers, LossValue, Method, RenderView, ViewCtx};
     use gs_train::registry::section;
     use gs_train::scene::SceneInfo;
+    use gs_train::step::StepCtx;
 
     fn figures(method: &str) -> Vec<OverlayFigure> {
         let options = SynthOptions { size: 32, train_views: 6, test_views: 1, ..SynthOptions::default() };
@@ -127,7 +139,74 @@ mod tests {
         let scene = SceneInfo::of(&data, &section(entry.name, &config, "init").unwrap(), 3).unwrap();
         let mut method = entry.model(&config, &scene).unwrap();
         method.begin_step(100_000);
-        overlay_figures(&method, &data.test[0], &data.test[0].camera).unwrap()
+        overlay_figures(&method, &data.test[0], &data.test[0].camera, scene.last_time).unwrap()
+    }
+
+    /// Splats of which every second leaves after time 0.5.
+    struct Late;
+
+    impl Params for Late {
+        fn visit(&self, _f: &mut dyn FnMut(&Param)) {}
+        fn visit_mut(&mut self, _f: &mut dyn FnMut(&mut Param)) {}
+    }
+
+    impl Buffers for Late {}
+
+    impl Method for Late {
+        fn begin_step(&mut self, _at: &StepCtx) {}
+
+        fn splats(&self, at: &Timestamp, _camera: &Camera) -> Result<Splats, MethodError> {
+            let n = self.splat_count();
+            let gone = (at.t.normalised - 0.5).max(0.0);
+            let place = |i: usize| 0.2 * Vec3::new((i % 5) as f32, (i / 5) as f32, (i % 3) as f32);
+            Ok(Splats {
+                means: (0..n).map(|i| place(i) + gone * (i % 2) as f32 * Vec3::X).collect(),
+                quats: vec![[1.0, 0.0, 0.0, 0.0]; n],
+                scales: vec![Vec3::splat(0.05); n],
+                opacities: vec![0.9; n],
+                color: Color::Rgb(vec![[0.5; 3]; n]),
+                ..Splats::default()
+            })
+        }
+
+        fn step(&mut self, _view: &ViewCtx<'_>, _render: &mut dyn RenderView) -> Result<Vec<LossValue>, MethodError> {
+            Ok(Vec::new())
+        }
+
+        fn splat_count(&self) -> usize {
+            40
+        }
+
+        fn capabilities(&self) -> Capabilities<'_> {
+            Capabilities { particles: Some(self), ..Capabilities::default() }
+        }
+    }
+
+    impl ParticleSource for Late {
+        fn particles(&self) -> Particles {
+            let camera = Camera::look_at(8, 8, 0.7, DVec3::Z * 4.0, DVec3::ZERO, DVec3::Y).unwrap();
+            let splats = self.splats(&Timestamp::normalised(0.4), &camera).unwrap();
+            let twist = |i: usize| [[(i % 2) as f32, 0.0, 0.0], [0.0; 3], [0.0; 3], [0.0; 3], [0.0; 3], [0.0; 3]];
+            let twists = (0..splats.len()).map(twist).collect();
+            Particles { at: 0.4, splats, twists, origin: Vec3::ZERO, lasting: true }
+        }
+    }
+
+    /// What was not seen to move is one part, whatever is learnt of it.
+    #[test]
+    fn parts_are_told_by_what_was_seen() {
+        let config = gs_methods::registry().find("static3d").unwrap().config("tiny").unwrap();
+        let model = Model::new("late", Late, section("static3d", &config, "schedule").unwrap()).unwrap();
+        let camera = Camera::look_at(8, 8, 0.7, DVec3::Z * 4.0, DVec3::ZERO, DVec3::Y).unwrap();
+        let view = View::new("v", camera, Time::default(), ImageSource::File("v.png".into()), 0);
+        let parts = |observed: f32| {
+            let figures = overlay_figures(&model, &view, &view.camera, observed).unwrap();
+            let Some(Legend::Kinds(parts)) = figures.into_iter().map(|f| f.legend).next() else {
+                panic!("parts alone")
+            };
+            parts.len()
+        };
+        assert_eq!([0.5, 1.0].map(parts), [1, 2]);
     }
 
     #[test]

@@ -102,7 +102,7 @@ pub(crate) fn build_report(m: &ReportInput) -> Result<Report, RunError> {
             report.strip = strip(m.method, &mut renderer, &camera)?;
             report.jerk = jerk(m, view, &camera)?;
         }
-        report.overlays = overlay_figures(m.method, view, &camera)?;
+        report.overlays = overlay_figures(m.method, view, &camera, m.scene.last_time)?;
         report.overlay_view =
             format!("{} at t = {:.3}, a view of median PSNR, over black.", view.name, view.time.normalised);
         let seen: Vec<_> = ranked.iter().take(WORK_VIEWS).map(|v| (m.images.camera(v), v.time)).collect();

@@ -208,7 +208,9 @@ impl Form {
             LawForm::Twist12 => self.twist(&m),
             // A free particle is the centre of its own body: its path is a straight line to any order.
             LawForm::Free => self.body(&m, x).motion(2, Reduction::Exact),
-            _ => self.body(&m, x).motion(self.order, self.reduction),
+            // The twist of an arc has a rate even at constant velocities, and ends with the jerk unless both are accelerated.
+            LawForm::Gvfi13 => self.body(&m, x).motion(3, Reduction::Exact),
+            LawForm::Centre15 => self.body(&m, x).motion(self.order, self.reduction),
         }
     }
 

@@ -114,7 +114,8 @@ impl Path {
         Motion { twist: twist(v - w.cross(d), w), rate: twist(rate, e), jerk: twist(jerk, DVec3::ZERO) }
     }
 
-    /// Poses at times `taus`, exact but for [`Path::Twist`], which goes by steps of at most `step`; times must lead away from 0.
+    /// Poses at times `taus`, exact but for [`Path::Twist`], which goes from 0 to the first and from each to the next, forth or back, by
+    /// steps of at most `step`.
     pub(super) fn poses(self, p: &[f64], taus: &[f64], step: f64) -> Vec<Pose> {
         if matches!(self, Self::Screw | Self::Twist) {
             return along(&self.motion(p), taus, if self == Self::Screw { f64::INFINITY } else { step });

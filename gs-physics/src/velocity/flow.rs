@@ -86,10 +86,15 @@ impl<T: Real> Flow<T> {
         self.by[0][0] + self.by[1][1] + self.by[2][2]
     }
 
+    /// The acceleration `∂_t u + (∇u) u` of what flows.
+    pub(crate) fn acceleration(&self) -> V3<T> {
+        let along = |j: usize| scale(self.by[j], self.u[j]);
+        add(self.by[3], add(along(0), add(along(1), along(2))))
+    }
+
     /// Residual `∂_t u + (∇u) u − a` of the equation of motion.
     pub(crate) fn residual(&self, a: V3<T>) -> V3<T> {
-        let along = |j: usize| scale(self.by[j], self.u[j]);
-        sub(add(self.by[3], add(along(0), add(along(1), along(2)))), a)
+        sub(self.acceleration(), a)
     }
 
     /// Cotangent of the flow from those of [`Flow::divergence`] and [`Flow::residual`]; that of `a` is `−d_residual`.

@@ -191,17 +191,19 @@ impl Dynamics for VelocityField {
         crate::pinn::regularise(self, seed, step)
     }
 
+    /// Local twists, and rates `v̄'` by which [`Motion::acceleration`] is that of what flows, `∂_t u + (∇u) u`.
     fn motions(&self, start: Start<'_>) -> Vec<Motion<f32>> {
         let Start { x, t, .. } = start;
         let mut out = vec![Motion::default(); x.len()];
         out.par_chunks_mut(BLOCK).zip(x.par_chunks(BLOCK)).for_each(|(out, x)| {
-            let mut evaluation = Evaluation::default();
-            evaluation.forward(&self.net, &self.config, x, &vec![cast::to_f32(t); x.len()], Derivatives::Space);
+            let (mut evaluation, times) = (Evaluation::default(), vec![cast::to_f32(t); x.len()]);
+            evaluation.forward(&self.net, &self.config, x, &times, Derivatives::SpaceTime);
             for (i, (m, x)) in out.iter_mut().zip(x).enumerate() {
                 let r = self.relative(*x);
                 let flow = evaluation.flow(i, r);
                 let w = flow.angular_velocity();
                 m.twist = Twist { v: sub(flow.u, cross3(w, r)), w };
+                m.rate.v = sub(flow.acceleration(), cross3(w, flow.u));
             }
         });
         out

@@ -225,6 +225,29 @@ fn a_free_particle_goes_straight() {
     }
 }
 
+/// The motion of a particle on its arc, rolled out by mechanics, is that arc: with constant velocities, while its centre falls, or
+/// while its turn gets faster.
+#[test]
+fn an_arc_is_its_motion() {
+    let (hub, v, w) = (Vec3::new(0.2, -0.4, 0.3), Vec3::new(1.0, 0.5, -0.7), Vec3::new(0.0, 0.9, 1.2));
+    let (x, fall) = (points(20), Vec3::new(0.0, 0.0, -4.0));
+    let cases = [(1, Vec3::ZERO, 0.0, false), (2, fall, 0.0, false), (2, fall, 0.0, true), (2, Vec3::ZERO, 2.0, false)];
+    for (order, a, faster, literal) in cases {
+        let config = LawConfig { accel: AccelMap::Linear, literal, ..config(LawForm::Gvfi13, order) };
+        let outputs: Vec<f32> = [hub, v, w, a].iter().flat_map(|v| v.to_array()).chain([faster]).collect();
+        let count = if order == 1 { 9 } else { 13 };
+        let (law, mut out) = (constant(&config, &outputs[..count]), ParticleState::default());
+        law.integrate(start(&x, 0.2), 0.7, &mut LawTape::default(), &mut out);
+        let rollout = Rollout { rule: Integrator::Se3Magnus4, dt: 0.01, origin: law.origin() };
+        let (mut means, mut quats) = (x.clone(), vec![[1.0, 0.0, 0.0, 0.0]; 20]);
+        rollout.advance(&law.motions(start(&x, 0.2)), [0.0, 0.5], &mut means, &mut quats);
+        for i in 0..20 {
+            assert!((means[i] - out.means[i]).length() < 2e-5, "{a} {faster}: {} {}", means[i], out.means[i]);
+            assert!(quats[i].iter().zip(out.rotations[i]).all(|(a, b)| (a - b).abs() < 1e-5));
+        }
+    }
+}
+
 #[test]
 fn an_empty_span_changes_nothing() {
     FORMS.into_iter().for_each(|form| empty_span_is_identity(law(&config(form, 2))));

@@ -5,7 +5,8 @@
 //! | quantity | bound |
 //! |---|---|
 //! | gradient of the reference against central differences | 1e-8 |
-//! | f32 positions, rotations, motions and losses | 2e-6 |
+//! | f32 positions, rotations, twists and losses | 2e-6 |
+//! | f32 accelerations | 1e-3 |
 //! | f32 gradients of weights, relative to the largest of their block | 4e-6 |
 
 use crate::support::particles::{cotangents, points, start};
@@ -189,6 +190,25 @@ fn a_turntable() {
     assert!(terms[0].1 < 1e-10 && terms[1].1 > 0.1, "{terms:?}");
     let pulled = constant([0.0, 0.0, 0.0, 0.0, 0.0, w], [0.0, 0.0, 0.0, 0.0, 0.0, w * w]).regularise(1, 1);
     assert!(pulled[1].1 < 1e-10, "{pulled:?}");
+}
+
+/// The acceleration of a motion is the change of the reference's velocity along the flow, by time and by place.
+#[test]
+fn motions_accelerate_as_the_flow_does() {
+    let (x, t, h) = (points(12), 0.4, 1e-5);
+    for config in cases() {
+        let field = field(&config);
+        let reference = VelocityRef::new(&field);
+        for (x, motion) in x.iter().zip(field.motions(start(&x, t))) {
+            let at = x.as_dvec3().to_array();
+            let u = reference.flow(at, t).0;
+            let after = |h: f64| reference.flow(std::array::from_fn(|k| at[k] + h * u[k]), t + h).0;
+            let (ahead, behind) = (after(h), after(-h));
+            for (k, got) in motion.acceleration((*x - field.origin()).to_array()).into_iter().enumerate() {
+                close(f64::from(got), (ahead[k] - behind[k]) / (2.0 * h), 1e-3, "acceleration");
+            }
+        }
+    }
 }
 
 #[test]

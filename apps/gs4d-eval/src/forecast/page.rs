@@ -1,7 +1,6 @@
 //! The HTML page of a forecast: PSNR over time beyond the last training time, and frames.
 
-use crate::forecast::{Physics, TimestampScores};
-use gs_train::capabilities::RigidBody;
+use crate::forecast::{Physics, TimedBody, TimestampScores};
 use gs4d_report::chart::{Curve, Scale, chart};
 use gs4d_report::html::{captioned, document, section, table, wrapped};
 use gs4d_report::{ReportError, Still};
@@ -19,7 +18,7 @@ pub fn page(
     moments: &[TimestampScores],
     strip: &[Still],
     physics: Option<&Physics>,
-    bodies: &[RigidBody],
+    bodies: &[TimedBody],
 ) -> Result<String, ReportError> {
     let curve = |name: &str, psnr: fn(&TimestampScores) -> Option<f64>| Curve {
         name: name.to_owned(),
@@ -38,15 +37,17 @@ pub fn page(
         vec![s.name.to_owned(), number(s.median), number(s.p90), number(s.p99), number(s.max), s.unit.clone()]
     });
     let learnt = table(&["", "median", "90 %", "99 %", "largest", "unit"], &[1, 2, 3, 4], rows);
-    let rows = bodies.iter().map(|b| {
+    let rows = bodies.iter().map(|TimedBody { body: b, .. }| {
         let number = |v: Option<&f64>| v.map_or_else(String::new, |v| format!("{v:.4}"));
         let length = |v: [f64; 3]| number(Some(&v.iter().map(|v| v * v).sum::<f64>().sqrt()));
         let [first, last] = [b.deviations.first(), b.deviations.last()].map(number);
         let motion = [b.velocity, b.spin, b.acceleration].map(length);
         [vec![b.path.to_owned(), b.splats.to_string(), b.frames.to_string()], motion.into(), vec![first, last]].concat()
     });
-    let head =
-        ["path", "splats", "frames", "speed", "spin", "acceleration", "1 sigma, first frame", "1 sigma, last frame"];
+    let unit = bodies.first().map_or("", |b| b.unit);
+    let motion = [format!("speed, units/{unit}"), format!("spin, rad/{unit}"), format!("acceleration, units/{unit}²")];
+    let [speed, spin, acceleration] = motion.each_ref().map(String::as_str);
+    let head = ["path", "splats", "frames", speed, spin, acceleration, "1 sigma, first frame", "1 sigma, last frame"];
     let bodies = table(&head, &[1, 2, 3, 4, 5, 6, 7], rows);
     let parts = section("Against the truth", "Means over all views of each time.", &chart)
         + &section("Frames", "", &wrapped("strip", stills))
@@ -63,6 +64,7 @@ pub fn page(
 mod tests {
     use super::*;
     use gs_core::Image;
+    use gs_train::capabilities::RigidBody;
 
     #[test]
     fn the_page_holds_what_there_is_and_escapes_names() {
@@ -86,10 +88,13 @@ mod tests {
             frames: 8,
             deviations: vec![0.01, 0.02],
         };
+        let body = TimedBody { body, unit: "s" };
         let html = page("<b>", [0.75, 0.75], &[moment(0.1), moment(0.2)], &[still], None, &[body]).unwrap();
         assert_eq!((html.matches("<svg").count(), html.matches("data:image/png").count()), (1, 1));
         let values = ["<td>fall", ">12<", ">8<", ">5.0000<", ">9.8100<", ">0.0100<", ">0.0200<"];
         assert!(values.iter().all(|v| html.contains(v)), "{html}");
+        let heads = [">speed, units/s<", ">spin, rad/s<", ">acceleration, units/s²<"];
+        assert!(heads.iter().all(|head| html.contains(head)), "{html}");
         assert!(html.contains("&lt;b&gt;") && !html.contains("What was learnt"));
         let empty = page("x", [0.2, 0.75], &[], &[], None, &[]).unwrap();
         assert!(!empty.contains("<svg") && !empty.contains("<section"));

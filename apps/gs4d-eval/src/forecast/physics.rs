@@ -10,11 +10,13 @@ use super::Clock;
 use crate::particles::Particles;
 use glam::Vec3;
 use gs_core::cast;
+use gs_physics::{Integrator, LawForm};
 use gs4d_report::inspect::INVISIBLE_OPACITY;
 use serde::Serialize;
+use serde::de::DeserializeOwned;
 
-/// Rotation in one step, radians, above which a second-order step changes radii by more than 0.1 %: `1 + z⁴/8`.
-pub(crate) const MAX_ROTATION_PER_STEP: f64 = 0.3;
+/// Share of its distance from the axis that a particle may gain or lose in a step.
+pub const MOST_GROWTH: f64 = 1e-3;
 
 /// Distribution of a quantity over splats.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -44,11 +46,11 @@ pub struct Physics {
     pub time_unit: &'static str,
     /// Speed, spin, acceleration and change of spin.
     pub spreads: Vec<QuantityStats>,
-    /// Splats that rotate by more than 0.3 radians in a step, if the step is known and its integrator is not rigid.
+    /// Splats that rotate too fast for the integration step, if that is known and there are any.
     pub fast: Option<FastSplats>,
 }
 
-/// Splats that rotate too fast for the integration step.
+/// Splats whose distance from their axis a step of the integration changes by more than [`MOST_GROWTH`].
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FastSplats {
     /// Number of splats that rotate too fast.
@@ -57,6 +59,10 @@ pub struct FastSplats {
     pub turn: f64,
     /// Integration step, in normalised time.
     pub step: f64,
+    /// Largest share of its distance that a splat gains in a step; below 0 where it loses.
+    pub growth: f64,
+    /// What to set.
+    pub remedy: &'static str,
 }
 
 /// Integration of particles by a configuration: `physics.step_frames` and `law.integrator`.
@@ -64,17 +70,37 @@ pub struct FastSplats {
 pub struct Steps {
     /// Longest step, in normalised time.
     pub length: f64,
-    /// Whether the integrator's steps are exact rigid motions (`se3…`).
-    pub rigid: bool,
+    /// Rule of every step.
+    pub rule: Integrator,
+    /// The settings that make steps good enough.
+    pub remedy: &'static str,
 }
 
 impl Steps {
-    /// The steps of a method's configuration on data with this normalised frame interval; `None` without such settings.
+    /// The steps of a method's configuration on data with this normalised frame interval; `None` without such settings, and
+    /// where particles follow a closed form.
     pub fn of(config: &toml::Table, frame_interval: f32) -> Option<Self> {
-        let frames = config.get("physics")?.get("step_frames")?.as_float()?;
-        let rule = config.get("law").and_then(|l| l.get("integrator")).and_then(toml::Value::as_str);
-        Some(Self { length: frames * f64::from(frame_interval), rigid: rule.is_some_and(|r| r.starts_with("se3")) })
+        let length = config.get("physics")?.get("step_frames")?.as_float()? * f64::from(frame_interval);
+        // Velocity fields have one rule.
+        let Some(law) = config.get("law") else {
+            return Some(Self { length, rule: Integrator::Rk2, remedy: "a smaller physics.step_frames" });
+        };
+        let closed = matches!(setting(law, "form"), Some(LawForm::Gvfi13 | LawForm::Free));
+        let remedy = "law.integrator = \"se3_mid\" or a smaller physics.step_frames";
+        let rule = setting(law, "integrator").filter(|_| !closed && !without_physics(config))?;
+        Some(Self { length, rule, remedy })
     }
+}
+
+/// A setting of a section, if it is there.
+fn setting<T: DeserializeOwned>(section: &toml::Value, name: &str) -> Option<T> {
+    section.get(name)?.clone().try_into().ok()
+}
+
+/// Whether `ablate` leaves rigid motion out: particles go straight.
+fn without_physics(config: &toml::Table) -> bool {
+    let parts = config.get("ablate").and_then(toml::Value::as_str).unwrap_or_default();
+    parts.split(',').any(|part| part.trim() == "physics")
 }
 
 impl Physics {
@@ -85,15 +111,12 @@ impl Physics {
         let seen: Vec<[f64; 4]> = rows
             .filter(|(_, visible)| *visible)
             .map(|((&x, m), _)| {
-                let [v, w] = [m.twist.v, m.twist.w].map(Vec3::from_array);
-                let [a, e] = [m.rate.v, m.rate.w].map(Vec3::from_array);
-                let r = x - particles.origin;
-                let velocity = v + w.cross(r);
-                let acceleration = a + e.cross(r) + w.cross(velocity);
-                [velocity, w, acceleration, e].map(|q| f64::from(q.length()))
+                let r = (x - particles.origin).to_array();
+                let all = [m.twist.velocity(r), m.twist.w, m.acceleration(r), m.rate.w];
+                all.map(|q| f64::from(Vec3::from_array(q).length()))
             })
             .collect();
-        let (unit, rate) = clock.map_or(("sequence", 1.0), |c| ("s", c.rate));
+        let (unit, rate) = Clock::unit(clock);
         let names = [
             ("speed", format!("units/{unit}"), 1),
             ("spin", format!("rad/{unit}"), 1),
@@ -108,15 +131,17 @@ impl Physics {
             QuantityStats { name, unit, median, p90, p99, max }
         };
         let spreads = names.into_iter().enumerate().map(spread).collect();
-        let fast = steps.filter(|s| !s.rigid).and_then(|s| fast(&seen, s.length));
+        let fast = steps.and_then(|steps| fast(&seen, steps));
         Self { at: particles.at, splats: seen.len(), time_unit: unit, spreads, fast }
     }
 }
 
-fn fast(seen: &[[f64; 4]], step: f64) -> Option<FastSplats> {
-    let turns = || seen.iter().map(|row| row[1] * step);
-    let splats = turns().filter(|t| *t > MAX_ROTATION_PER_STEP).count();
-    (splats > 0).then(|| FastSplats { splats, turn: turns().fold(0.0, f64::max), step })
+fn fast(seen: &[[f64; 4]], Steps { length, rule, remedy }: Steps) -> Option<FastSplats> {
+    let turns = seen.iter().map(|row| row[1] * length).filter(|turn| rule.growth(*turn).abs() > MOST_GROWTH);
+    let turns: Vec<f64> = turns.collect();
+    let growth = turns.iter().map(|t| rule.growth(*t)).max_by(|a, b| a.abs().total_cmp(&b.abs()))?;
+    let turn = turns.iter().copied().fold(0.0, f64::max);
+    Some(FastSplats { splats: turns.len(), turn, step: length, growth, remedy })
 }
 
 #[cfg(test)]
@@ -162,17 +187,30 @@ mod tests {
         assert_eq!(p.spreads[2].unit, "units/s²");
     }
 
+    /// The wheel turns by 0.31 in a step of 0.1, by 0.13 in one of 0.04.
     #[test]
     fn turns_too_fast_for_their_steps_are_told() {
-        let config = |text: &str| text.parse::<toml::Table>().unwrap();
-        let rk2 = config("[physics]\nstep_frames = 2.0\n[law]\nintegrator = \"rk2\"");
-        let steps = Steps::of(&rk2, 0.05).unwrap();
-        let p = Physics::of(&wheel(), None, Some(steps));
-        let fast = p.fast.unwrap();
-        assert!(fast.splats == 3 && (fast.turn - 0.1 * std::f64::consts::PI).abs() < 1e-6, "{fast:?}");
-        assert!(Physics::of(&wheel(), None, Steps::of(&rk2, 0.02)).fast.is_none(), "slow enough");
-        let rigid = config("[physics]\nstep_frames = 2.0\n[law]\nintegrator = \"se3_mid\"");
-        assert!(Physics::of(&wheel(), None, Steps::of(&rigid, 0.05)).fast.is_none(), "rigid steps keep radii");
-        assert_eq!(Steps::of(&config("[field]\nwidth = 3"), 0.05), None);
+        let config = |text: &str| format!("[physics]\nstep_frames = 2.0\n{text}").parse::<toml::Table>().unwrap();
+        let fast = |text: &str, frame| Physics::of(&wheel(), None, Steps::of(&config(text), frame)).fast;
+        let told = fast("[law]\nintegrator = \"rk2\"", 0.05).unwrap();
+        assert!(told.splats == 3 && (told.turn - 0.1 * std::f64::consts::PI).abs() < 1e-6, "{told:?}");
+        assert!((told.growth - told.turn.powi(4) / 8.0).abs() < 1e-5 && told.remedy.contains("se3_mid"), "{told:?}");
+        assert!(fast("[law]\nintegrator = \"rk2\"", 0.02).is_none(), "slow enough for the second order");
+        for first in ["euler", "mid_params"] {
+            let told = fast(&format!("[law]\nintegrator = \"{first}\""), 0.02).unwrap();
+            assert!(told.splats == 3 && (told.growth - 7.9e-3).abs() < 1e-4, "{first}: {told:?}");
+        }
+        let flow = fast("[velocity]\nhidden = 3", 0.05).unwrap();
+        assert!(flow.splats == 3 && flow.remedy == "a smaller physics.step_frames", "{flow:?}");
+        let kept = [
+            "[law]\nintegrator = \"rk4\"",
+            "[law]\nintegrator = \"se3_mid\"",
+            "[law]\nintegrator = \"rk2\"\nform = \"gvfi13\"",
+            "[law]\nintegrator = \"rk2\"\nform = \"free\"",
+        ];
+        assert!(kept.iter().all(|text| fast(text, 0.05).is_none()), "these keep radii");
+        let left_out = "ablate = \"field, physics\"\n[physics]\nstep_frames = 2.0\n[law]\nintegrator = \"rk2\"";
+        assert_eq!(Steps::of(&left_out.parse().unwrap(), 0.05), None);
+        assert_eq!(Steps::of(&"[field]\nwidth = 3".parse().unwrap(), 0.05), None);
     }
 }

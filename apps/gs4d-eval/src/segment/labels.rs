@@ -69,6 +69,14 @@ impl Default for Options {
     }
 }
 
+impl Options {
+    /// What parts of a model with these particles are told by.
+    pub fn source(&self, learnt: Option<&Particles>) -> Source {
+        let twists = learnt.is_some_and(|p| p.lasting);
+        self.by.unwrap_or(if twists { Source::Twists } else { Source::Paths })
+    }
+}
+
 /// The motion that labels are computed from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
@@ -117,13 +125,9 @@ pub fn segment(method: &Model, options: &Options) -> Result<Labels, SegmentError
         return Err(no_paths());
     }
     let splats = method.all_splats(&Timestamp::normalised(at), &camera)?;
-    if options.by == Some(Source::Twists) && learnt.is_none() {
-        return Err(SegmentError::NoTwists(method.name().to_owned()));
-    }
-    let by_twists = |p: &Particles| options.by.map_or(p.lasting, |by| by == Source::Twists);
-    if let Some(p) = learnt.filter(by_twists) {
-        let later = f64::from(at) - p.at;
-        let motions = p.motions.iter().map(|m| m.from(cast::to_f32(later))).collect();
+    if options.source(learnt.as_ref()) == Source::Twists {
+        let p = learnt.ok_or_else(|| SegmentError::NoTwists(method.name().to_owned()))?;
+        let motions = if options.at.is_some() { p.motions_at(method, at.into()) } else { p.motions.clone() };
         let particles = Particles { at: at.into(), splats, motions, ..p };
         let resting = at_rest(&frames, options.static_path * radius(&particles));
         return Ok(of_particles(particles, resting, options));

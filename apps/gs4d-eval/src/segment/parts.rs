@@ -60,7 +60,7 @@ pub fn table(labels: &Labels) -> Vec<Part> {
         let twist = group.map(|g| g.motion.twist).unwrap_or_default();
         let (v, w) = (DVec3::from(twist.v), DVec3::from(twist.w));
         let spins = w.length() * HORIZON > 1e-3;
-        let pole = || (DVec3::from(velocity_pole(&twist, 0.0)) + p.origin.as_dvec3()).to_array();
+        let pole = || (DVec3::from(velocity_pole(&twist)) + p.origin.as_dvec3()).to_array();
         Part {
             id: id + 1,
             splats: members.len(),

@@ -8,7 +8,7 @@ use gs_core::{Camera, cast};
 use gs_physics::complexity::{Complexity, ImageTracks, STATIC_PATH, complexity};
 
 use crate::stage_motion::{Anchor, Motion, model_motion};
-use gs_data::Dataset;
+use gs_data::{Dataset, moments::distinct};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::renderer::Renderer;
@@ -20,15 +20,13 @@ pub(crate) const MAX_POINTS: usize = 10_000;
 const MAX_CAMERAS: usize = 4;
 const MAX_TIMES: usize = 61;
 
-/// The complexity of a model's motion as seen by the training cameras (at most 4, and at most 61 of the training times). Where
-/// times are left out, the change of velocity is that from one training time to the next: a share of what is measured.
+/// The complexity of a model's motion as seen by the training cameras (at most 4, and at most 61 of the training moments). Where
+/// moments are left out, the change of velocity is that from one moment to the next: a share of what is measured.
 ///
 /// # Errors
 /// If the model cannot produce its splats.
 pub fn scene_complexity(method: &Model, data: &Dataset) -> Result<Complexity, MethodError> {
-    let mut times: Vec<f32> = data.train.iter().map(|v| v.time.normalised).collect();
-    times.sort_unstable_by(f32::total_cmp);
-    times.dedup();
+    let times = distinct(&data.train);
     let stride = times.len().div_ceil(MAX_TIMES).max(1);
     let times: Vec<f32> = times.into_iter().step_by(stride).collect();
     let mut ids: Vec<u32> = data.train.iter().map(|v| v.camera_id).collect();

@@ -2,6 +2,7 @@
 
 use super::{LATER_RATE, Plan, Round, Rounds, TIME_TOLERANCE};
 use gs_data::{Dataset, View};
+use gs4d_eval::moments::Moment;
 use gs4d_run::config::{Config, Source};
 use gs4d_run::provenance::origin;
 use gs4d_run::settings::{self, resolve};
@@ -80,13 +81,9 @@ impl Sequence {
     }
 }
 
-/// The distinct times of all views: normalised, ascending.
-fn timestamps(dataset: &Dataset) -> Vec<f64> {
-    let all = [&dataset.train, &dataset.val, &dataset.test, &dataset.extrapolate].into_iter().flatten();
-    let mut times: Vec<f64> = all.map(|v| f64::from(v.time.normalised)).collect();
-    times.sort_by(f64::total_cmp);
-    times.dedup();
-    times
+/// The times by which each moment was seen by all cameras: normalised, ascending.
+pub(super) fn timestamps(dataset: &Dataset) -> Vec<f64> {
+    Moment::all(dataset).iter().map(|moment| f64::from(moment.last)).collect()
 }
 
 /// The dataset of a round: views up to `T_obs`, with those in `(T_obs, end]` as the extrapolation split.

@@ -1,6 +1,6 @@
-use super::sequence::{bounded, part};
+use super::sequence::{bounded, part, timestamps};
 use super::*;
-use gs_synth::{SynthOptions, write};
+use gs_synth::{SynthOptions, generate, write};
 use gs_train::checkpoint::load_newest;
 use gs4d_run::settings::{lengthen, resolve};
 use std::sync::Arc;
@@ -25,6 +25,22 @@ fn rounds_are_planned_by_times_and_by_frames() {
     for (first, per_round, next) in [(0, 1, 1), (1, 0, 1), (1, 1, 0), (141, 1, 10), (1, 1, 150)] {
         assert!(frames(first, per_round, next, None).is_err(), "{first} {per_round} {next}");
     }
+}
+
+/// Four cameras and a held-out one, each late by its own thousandth: a frame is what all of them saw.
+#[test]
+fn frames_are_those_of_all_cameras() {
+    let options =
+        SynthOptions { size: 8, cameras: 4, held_out: 1, moments: 6, supersample: 1, ..SynthOptions::default() };
+    let mut data = generate("balls", &options).unwrap().dataset;
+    for view in [&mut data.train, &mut data.test, &mut data.extrapolate].into_iter().flatten() {
+        view.time.normalised += 1e-3 * view.camera_id as f32;
+    }
+    let times = timestamps(&data);
+    assert_eq!(times.len(), 6);
+    let rounds = Rounds::Frames { first: 3, per_round: 1, next: 1, last: Some(3) }.plan(&times).unwrap();
+    let seen = part(&data, rounds[0]);
+    assert_eq!((rounds.len(), seen.train.len(), seen.test.len(), seen.extrapolate.len()), (1, 12, 3, 5));
 }
 
 fn data(dir: &Path) {

@@ -11,12 +11,13 @@ use gs_core::Camera;
 use gs_core::io::images::save_png;
 use gs_core::io::{Limits, cameras::load_cameras, write_file};
 use gs_data::{Dataset, View};
-use gs_train::capabilities::RigidBody;
 use gs_train::model::Model;
 use gs_train::renderer::Renderer;
 use gs4d_eval::forecast::page::page;
-use gs4d_eval::forecast::physics::Steps;
-use gs4d_eval::forecast::{CameraPath, Clock, MAX_FRAMES, Physics, Spacing, TimestampScores, Truth, draw, times};
+use gs4d_eval::forecast::physics::{MOST_GROWTH, Steps};
+use gs4d_eval::forecast::{
+    CameraPath, Clock, MAX_FRAMES, Physics, Spacing, TimedBody, TimestampScores, Truth, draw, times,
+};
 use gs4d_eval::particles::Particles;
 use gs4d_eval::track::{Track, TrackError, TrackReport, follow};
 use gs4d_report::Still;
@@ -52,7 +53,7 @@ pub struct ForecastVerb {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_FRAMES as i64))]
     frames: Option<u32>,
     /// Where the camera is: view:NAME (a view of the data), orbit (one turn around the scene), or a file of cameras as for
-    /// render, followed one by one [default: the first view of the future, else of the test views].
+    /// render, spread evenly over the frames [default: the first view of the future, else of the test views].
     #[arg(long, value_name = "FILE|view:NAME|orbit")]
     camera: Option<String>,
     /// Measured places of a body, lines frame,x,y,z from the first time of the data on: how far the forecast is off.
@@ -116,7 +117,8 @@ impl ForecastVerb {
             progress.at(k as u64 + 1, || format!("t = {t:.3}"));
         }
         progress.finish();
-        let bodies = method.capabilities().particles.map_or_else(Vec::new, |p| p.bodies(&times));
+        let found = method.capabilities().particles.map_or_else(Vec::new, |p| p.bodies(&times));
+        let bodies: Vec<TimedBody> = found.into_iter().map(|body| TimedBody::of(body, clock)).collect();
         let particles = Particles::of(method);
         let steps = Steps::of(&run.loaded.config, run.loaded.scene.frame_interval);
         let physics = particles.map(|p| Physics::of(&p, clock, steps));
@@ -226,7 +228,7 @@ struct Report<'a> {
     truth: Option<&'a Truth>,
     moments: Option<&'a [TimestampScores]>,
     physics: Option<Physics>,
-    bodies: &'a [RigidBody],
+    bodies: &'a [TimedBody],
     followed: Option<TrackReport>,
 }
 
@@ -307,9 +309,9 @@ fn scores_table(truth: &Truth, moments: &[TimestampScores]) -> String {
 }
 
 /// Rigid bodies with the standard deviation of their place in the first and the last frame.
-fn bodies_table(bodies: &[RigidBody]) -> String {
+fn bodies_table(bodies: &[TimedBody]) -> String {
     let mut text = String::new();
-    for (k, b) in bodies.iter().enumerate() {
+    for (k, TimedBody { body: b, .. }) in bodies.iter().enumerate() {
         let ends = [b.deviations.first(), b.deviations.last()].map(|d| d.copied().unwrap_or_default());
         text.push_str(&format!(
             "body {}: {} splats, path {} through {} frames, off by {:.4} in the first frame, {:.4} in the last (1 sigma)\n",
@@ -334,9 +336,14 @@ fn physics_table(p: &Physics) -> String {
     }
     if let Some(fast) = &p.fast {
         text.push_str(&format!(
-            "warning: {} splats turn by more than 0.3 rad in a step of {:.4} (at most {:.2}): their radii grow by more than 0.1 % \
-             a step; use law.integrator = \"se3_mid\" or a smaller physics.step_frames\n",
-            fast.splats, fast.step, fast.turn
+            "warning: {} splats turn too fast for steps of {:.4} (at most {:.2} rad in one): each changes their distance from \
+             the axis by more than {} % (at most {:+.2} %); use {}\n",
+            fast.splats,
+            fast.step,
+            fast.turn,
+            100.0 * MOST_GROWTH,
+            100.0 * fast.growth,
+            fast.remedy
         ));
     }
     text

@@ -14,6 +14,7 @@ use gs_data::{Dataset, Split, View};
 use gs_synth as synth;
 use gs_train::evaluate::split_name;
 use gs4d_eval::Placing;
+use gs4d_eval::particles::Particles;
 use gs4d_eval::segment::{
     self, Complexity, Count, Feature, Labels, Options, Part, Scores, SegmentError, Source, TrueLabels, ViewMask, parts,
     scene_complexity, study,
@@ -46,10 +47,10 @@ pub struct Segment {
     /// What parts are told by: learnt twists, or paths (OGC) [default: twists where the method has a law of motion, else paths].
     #[arg(long, value_enum)]
     by: Option<By>,
-    /// What twists are compared by.
-    #[arg(long, value_enum, default_value_t = Compare::Polar)]
-    feature: Compare,
-    /// Weight of places beside motions: parts that move alike but are apart.
+    /// What twists are compared by [default: polar].
+    #[arg(long, value_enum)]
+    feature: Option<Compare>,
+    /// Weight of places beside twists, with a number of parts: parts that move alike but are apart.
     #[arg(long, default_value = "0", value_name = "BETA", allow_hyphen_values = true, value_parser = parse::not_negative)]
     positions: f64,
     /// Which views get masks.
@@ -121,13 +122,14 @@ impl Segment {
             let what = format!("{} has no motion: there are no parts to tell apart", run.loaded.model.name());
             return Err(Failure::new(Class::Data, "segment.paths", what).remedy(MOVING));
         }
+        let (method, options) = (&run.loaded.model, self.options(&dataset));
+        self.refuse_unused(options.source(Particles::of(method).as_ref()))?;
         note_extrapolated(self.at, &run, global);
         let split: Split = self.split.into();
         let views = self.limited(dataset.views(split))?;
         let names = stems(&views);
         self.prepare(&names)?;
-        let method = &run.loaded.model;
-        let labels = segment::segment(method, &self.options(&dataset))?;
+        let labels = segment::segment(method, &options)?;
         let truth = self.truth(&run, &views);
         let mut progress = Progress::new(views.len() as u64, "views", global.quiet);
         let mut done = 0;
@@ -155,12 +157,27 @@ impl Segment {
         Options {
             count: self.k,
             by: self.by.map(|by| if by == By::Twists { Source::Twists } else { Source::Paths }),
-            feature: if self.feature == Compare::Polar { Feature::Polar } else { Feature::Plain },
+            feature: if self.feature == Some(Compare::Plain) { Feature::Plain } else { Feature::Polar },
             at: self.at,
             observed: last,
             positions: self.positions as f32,
             ..Options::default()
         }
+    }
+
+    /// Refuses options that would do nothing.
+    fn refuse_unused(&self, source: Source) -> Result<(), Failure> {
+        let (paths, places) = (source == Source::Paths, self.positions > 0.0);
+        let (option, why, remedy) = if paths && (places || self.feature.is_some()) {
+            let option = if places { "--positions" } else { "--feature" };
+            (option, "on parts that are told by their paths", "leave it out")
+        } else if places && self.k == Count::Auto {
+            let why = "with --k auto: parts that move alike are one, wherever they are";
+            ("--positions", why, "say how many parts there are, --k N, or leave it out")
+        } else {
+            return Ok(());
+        };
+        Err(Failure::usage(format!("{option} has no effect {why}")).remedy(remedy))
     }
 
     /// At most `--limit` views, evenly spread.
@@ -291,4 +308,32 @@ fn text(
         out.display()
     ));
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        verb: Segment,
+    }
+
+    #[test]
+    fn options_that_would_do_nothing_are_refused() {
+        let refused = |more: &[&str], source| {
+            let line = Line::try_parse_from([&["segment", "run", "-o", "out"][..], more].concat()).unwrap();
+            line.verb.refuse_unused(source).err().map(|e| e.message()).unwrap_or_default()
+        };
+        let (places, feature) = (["--positions", "0.5"], ["--feature", "polar"]);
+        let by_paths = "has no effect on parts that are told by their paths";
+        assert!(refused(&places, Source::Twists).starts_with("--positions has no effect with --k auto"));
+        assert_eq!(refused(&places, Source::Paths), format!("--positions {by_paths}"));
+        assert_eq!(refused(&feature, Source::Paths), format!("--feature {by_paths}"));
+        assert_eq!(refused(&[&places[..], &["--k", "3"]].concat(), Source::Twists), "");
+        assert_eq!(refused(&feature, Source::Twists), "");
+        assert_eq!(refused(&[], Source::Paths), "");
+    }
 }

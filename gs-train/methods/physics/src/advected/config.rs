@@ -27,14 +27,14 @@ pub struct PhysicsConfig {
     #[serde(default)]
     pub turn_colours: bool,
     /// How far a forecast may put a splat off to save work, of the scene's extent, up to the end of the sequence: closed forms
-    /// instead of steps, one motion for a body. 0: only what is exact.
+    /// instead of steps, one motion for a body. 0: only what is exact. Integrators that are not rigid keep their steps.
     #[serde(default)]
     pub slack: f32,
     /// Most bodies whose splats share one motion in a forecast, as far as `slack` allows; 0: every splat follows its own.
     #[serde(default)]
     pub bodies: u32,
-    /// Whether a forecast refits the paths of rigid bodies to all times that were seen ([`gs_physics::refit`]). Where the dynamics
-    /// settle on `T_def`, they are read there alone.
+    /// Whether a forecast refits the paths of rigid bodies to all times that were seen ([`gs_physics::refit`]), and moves their splats
+    /// rigidly whatever the integrator. Where the dynamics settle on `T_def`, they are read there alone.
     #[serde(default)]
     pub refit: bool,
     /// Share of the moving stage, at its end, in which the dynamics set out from `T_def` for every image they render: forecasts

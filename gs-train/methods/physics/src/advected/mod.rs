@@ -26,7 +26,7 @@ use gs_train::method::{Buffer, BufferMut, Buffers, LossValue, Method, MethodErro
 use gs_train::scene::SceneInfo;
 use gs_train::step::StepCtx;
 use gs_train::timestamp::Timestamp;
-use std::sync::Mutex;
+use std::sync::{Mutex, PoisonError};
 
 mod colours;
 mod config;
@@ -149,17 +149,24 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
         self.with_future(|future| future.at(t, &self.dynamics))
     }
 
-    /// What is known of the future, found out where it is asked for first.
+    /// What is known of the future, found out where it is asked for first. Nothing is computed under the lock: a thread of a
+    /// pool that waits there may begin another task, which asks as well.
     fn with_future<T>(&self, f: impl FnOnce(&mut Future) -> T) -> T {
-        let mut known = self.future.lock().unwrap_or_else(|e| e.into_inner());
-        f(known.get_or_insert_with(|| {
-            let (canonical, from) = (self.canonical.activated(), self.first_ahead());
-            let begin = self.deformed(canonical.geometry(), from);
-            let middle = self.start(&canonical, &begin.means, from).middle;
-            let refit = self.config.refit && self.config.field && self.dynamics.motion_rollout().is_some();
-            let tracks = refit.then(|| self.tracks(&canonical));
-            Future::new(begin, &canonical.opacities, from, middle, tracks.as_ref(), &self.dynamics, self.tolerance)
-        }))
+        let lock = || self.future.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = lock().take();
+        let mut future = known.unwrap_or_else(|| self.find_future());
+        let answer = f(&mut future);
+        *lock() = Some(future);
+        answer
+    }
+
+    fn find_future(&self) -> Future {
+        let (canonical, from) = (self.canonical.activated(), self.first_ahead());
+        let begin = self.deformed(canonical.geometry(), from);
+        let middle = self.start(&canonical, &begin.means, from).middle;
+        let refit = self.config.refit && self.config.field && self.dynamics.motion_rollout().is_some();
+        let tracks = refit.then(|| self.tracks(&canonical));
+        Future::new(begin, &canonical.opacities, from, middle, tracks.as_ref(), &self.dynamics, self.tolerance)
     }
 
     /// Deformed splats, at `x`, as particles that set out at a time.
@@ -168,7 +175,7 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
     }
 
     fn forget(&mut self) {
-        *self.future.get_mut().unwrap_or_else(|e| e.into_inner()) = None;
+        *self.future.get_mut().unwrap_or_else(PoisonError::into_inner) = None;
     }
 
     /// Forward and backward through field and dynamics.

@@ -19,6 +19,12 @@ fn colors(vectors: &[Vec3]) -> Vec<[f32; 3]> {
     vectors.iter().map(|v| (0.5 + 0.5 * *v / largest).to_array()).collect()
 }
 
+/// Rows of [`Particles::twists`].
+fn twists(motions: &[Motion<f32>]) -> Vec<[[f32; 3]; 6]> {
+    let row = |Motion { twist, rate, jerk }: &Motion<f32>| [twist.v, twist.w, rate.v, rate.w, jerk.v, jerk.w];
+    motions.iter().map(row).collect()
+}
+
 impl<F: Field, D: Dynamics> Advected<F, D> {
     /// Where the splats rendered at a time are, and the motions that rule them there.
     fn moving(&self, t: f64) -> (Vec<Vec3>, Vec<Motion<f32>>) {
@@ -99,14 +105,15 @@ where
     }
 
     fn warnings(&self) -> Vec<String> {
-        if self.dynamics.motion_rollout().is_some() {
-            return Vec::new();
-        }
         let PhysicsConfig { refit, slack, bodies, .. } = self.config;
-        let without_effect = [("refit", refit), ("slack", slack > 0.0), ("bodies", bodies > 0)];
-        let warning =
-            |name| format!("physics.{name} has no effect: these dynamics give splats no motion of rigid bodies");
-        without_effect.iter().filter(|(_, on)| *on).map(|(name, _)| warning(*name)).collect()
+        let all = [("refit", refit), ("slack", slack > 0.0), ("bodies", bodies > 0)];
+        let (without_effect, why) = match self.dynamics.motion_rollout() {
+            None => (&all[..], "these dynamics give splats no motion of rigid bodies"),
+            Some(rollout) if rollout.rule.is_rigid() => return Vec::new(),
+            Some(_) => (&all[1..], "only rigid integrators leave steps out: set law.integrator to \"se3_mid\""),
+        };
+        let on = without_effect.iter().filter(|(_, on)| *on);
+        on.map(|(name, _)| format!("physics.{name} has no effect: {why}")).collect()
     }
 
     fn quantities(&self, at: &Timestamp) -> Result<Vec<Quantity>, MethodError> {
@@ -127,12 +134,15 @@ impl<F: Field, D: Dynamics> ParticleSource for Advected<F, D> {
         let mut splats = self.canonical.activated();
         let (moved, motions) = self.with_future(|future| future.particles(&self.dynamics));
         splats.set_geometry(moved);
-        let twists = motions
-            .iter()
-            .map(|Motion { twist, rate, jerk }| [twist.v, twist.w, rate.v, rate.w, jerk.v, jerk.w])
-            .collect();
         let lasting = self.dynamics.motions_extrapolate();
-        Particles { at: self.first_ahead(), splats, twists, origin: self.dynamics.origin(), lasting }
+        Particles { at: self.first_ahead(), splats, twists: twists(&motions), origin: self.dynamics.origin(), lasting }
+    }
+
+    /// A law goes on after `T_def`, and before it where it has settled: there alone it was trained.
+    fn twists_at(&self, t: f64) -> Option<Vec<[[f32; 3]; 6]>> {
+        let goes_on = self.config.settle > 0.0 || t >= self.first_ahead();
+        let carried = self.dynamics.motions_extrapolate() && goes_on;
+        (!carried).then(|| twists(&self.moving(t).1))
     }
 
     fn bodies(&self, times: &[f64]) -> Vec<RigidBody> {

@@ -3,10 +3,13 @@ use glam::Vec3;
 use gs_core::{Camera, Rng, SplatsRef};
 use gs_data::PointCloud;
 use gs_deform::{DefGsConfig, DefMlp};
-use gs_physics::{Motion, Twist};
+use gs_physics::{Integrator, Law, LawConfig, Motion, Twist, VelocityConfig, VelocityField};
+use gs_train::capabilities::{Inspect, ParticleSource};
 use gs_train::registry::section;
 use gs_train::scene::CloudConfig;
 use gs_train::schedule::Schedule;
+use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
+use std::time::Duration;
 
 /// One twist for all particles, one Euler step; turns are not normalised. Simple enough to differentiate by hand.
 struct OneTwist(Param);
@@ -32,6 +35,8 @@ impl Dynamics for OneTwist {
     type Tape = f32;
 
     fn integrate(&self, Start { x, t: from, .. }: Start<'_>, to: f64, h: &mut f32, out: &mut ParticleState) {
+        // A thread of a pool that waits for others takes up what the pool has left to do.
+        rayon::yield_now();
         let [v, w] = self.parts();
         *h = (to - from) as f32;
         out.means = x.iter().map(|&x| x + *h * (v + w.cross(x))).collect();
@@ -111,8 +116,13 @@ fn step_with(m: &mut impl Method, t: f32, cotangents: impl FnMut(SplatsRef<'_>, 
     m.step(&view, &mut Given { cotangents, stats: ScreenStats::default() }).unwrap();
 }
 
-/// Twelve points, frames a twentieth apart, the last at 0.75: Δt = 0.1, T_def = 0.6.
 fn method(config: PhysicsConfig, zero_init: bool) -> Advected<DefMlp, OneTwist> {
+    let twist = OneTwist(Param::shared("physics.twist", vec![0.4, -0.3, 0.2, 0.5, 0.1, -0.6]));
+    method_of(twist, config, zero_init)
+}
+
+/// Twelve points, frames a twentieth apart, the last at 0.75: Δt = 0.1, T_def = 0.6.
+fn method_of<D: Dynamics>(dynamics: D, config: PhysicsConfig, zero_init: bool) -> Advected<DefMlp, D> {
     let mut rng = Rng::new(3, "points", 0, 0);
     let positions: Vec<Vec3> = (0..12).map(|_| Vec3::new(rng.normal(), rng.normal(), rng.normal())).collect();
     let points = PointCloud { colors: vec![[0.5; 3]; 12], positions };
@@ -137,8 +147,7 @@ fn method(config: PhysicsConfig, zero_init: bool) -> Advected<DefMlp, OneTwist> 
     let width =
         DefGsConfig { width: 16, depth: 2, time_hidden: 8, time_features: 4, zero_init, ..DefGsConfig::default() };
     let field = DefMlp::new(&width, 1).unwrap();
-    let twist = OneTwist(Param::shared("physics.twist", vec![0.4, -0.3, 0.2, 0.5, 0.1, -0.6]));
-    let mut method = Advected::new(canonical, field, twist, config, &scene).unwrap();
+    let mut method = Advected::new(canonical, field, dynamics, config, &scene).unwrap();
     begin(&mut method, 500);
     method
 }
@@ -411,6 +420,56 @@ fn what_comes_after_starts_from_the_last_deformation() {
     let step = method(PhysicsConfig { inside: Inside::Step, ..CONFIG }, false);
     assert_ne!(splats(&step, 0.3), splats(&m, 0.3));
     assert_eq!(splats(&step, 1.5), ahead, "the ways differ inside only");
+}
+
+/// What a thread takes up while it waits may ask for another such time.
+#[test]
+fn times_after_the_last_field_time_may_be_asked_for_together() {
+    const TIMES: [f32; 8] = [0.7, 1.5, 0.8, 1.4, 0.9, 1.3, 1.0, 1.2];
+    let (answer, answered) = std::sync::mpsc::channel();
+    std::thread::spawn(move || {
+        let m = method(CONFIG, false);
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
+        let together: Vec<Splats> = pool.install(|| TIMES.par_iter().map(|t| splats(&m, *t)).collect());
+        // After the time-out nobody listens.
+        answer.send(together).ok();
+    });
+    let together = answered.recv_timeout(Duration::from_secs(60)).expect("no thread waits for itself");
+    let m = method(CONFIG, false);
+    assert_eq!(together, TIMES.map(|t| splats(&m, t)));
+}
+
+/// `T_def` is 0.6.
+#[test]
+fn motions_before_the_last_field_time_are_those_of_that_time() {
+    fn given<D: Dynamics>(m: &Advected<DefMlp, D>, t: f64) -> bool {
+        let x = splats(m, t as f32).means;
+        let want = m.dynamics.motions(m.start(&m.canonical.activated(), &x, f64::from(t as f32)));
+        let rows: Vec<_> =
+            want.iter().map(|m| [m.twist.v, m.twist.w, m.rate.v, m.rate.w, m.jerk.v, m.jerk.w]).collect();
+        m.twists_at(f64::from(t as f32)).is_some_and(|found| found == rows)
+    }
+    let law = |config| method_of(Law::new(&LawConfig::small(), Vec3::ZERO, 0.1, 1).unwrap(), config, false);
+    let m = law(CONFIG);
+    assert!(given(&m, 0.3) && m.twists_at(0.7).is_none(), "it goes on after that time alone");
+    assert!(law(PhysicsConfig { settle: 0.3, ..CONFIG }).twists_at(0.3).is_none(), "and before, where it has settled");
+    let flow = VelocityConfig { hidden: 8, depth: 2, ..VelocityConfig::small() };
+    let flow = VelocityField::new(&flow, [Vec3::splat(-2.0), Vec3::splat(2.0)], 0.1, 1).unwrap();
+    let m = method_of(flow, PhysicsConfig { settle: 0.3, ..CONFIG }, false);
+    assert!(given(&m, 0.3) && given(&m, 0.9), "a flow is evaluated at every time");
+}
+
+#[test]
+fn settings_without_effect_are_told() {
+    let all = PhysicsConfig { refit: true, slack: 0.01, bodies: 3, ..CONFIG };
+    let law = |integrator, config| {
+        let law = LawConfig { integrator, ..LawConfig::small() };
+        method_of(Law::new(&law, Vec3::ZERO, 0.1, 1).unwrap(), config, true).warnings()
+    };
+    let told = law(Integrator::Rk2, all);
+    assert!(told.len() == 2 && told[0].contains("physics.slack") && told[1].contains("physics.bodies"), "{told:?}");
+    assert!(law(Integrator::Se3Mid, all).is_empty() && law(Integrator::Rk2, CONFIG).is_empty());
+    assert_eq!(method(all, true).warnings().len(), 3);
 }
 
 #[test]
