@@ -1,6 +1,6 @@
 //! Splat files, one for each time, as one page: `play_files OUT.html A.ply [B.ply …]`.
 
-use gs_core::io::{Limits, load_splats};
+use gs_core::io::{Limits, load_splats, write_file};
 use gs4d_player::{Clip, Frames, Page, Start, Tolerance};
 use std::path::Path;
 
@@ -18,7 +18,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let clip = Clip::fit(&Frames::new(times, splats)?, &[], Tolerance::default());
     let page = Page { title: out.clone(), start: Start::default(), background: [0.0; 3], clock: None };
     let html = page.html(&clip)?;
-    std::fs::write(&out, &html)?;
+    write_file(Path::new(&out), false, |file| file.write_all(html.as_bytes()))?;
     println!("{} splats, {} of them move, {:.2} MB", clip.len(), clip.moving(), html.len() as f64 / 1e6);
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! Key frames: the fewest found by going from key to key as far as the tolerance allows.
 
 use crate::frames::Size;
-use crate::track::{Track, step};
+use crate::track::{Track, apart, step};
 
 /// Bounds of exponents: steps from 10⁻⁹ to 10³.
 const EXPONENTS: [f32; 2] = [-30.0, 10.0];
@@ -66,7 +66,7 @@ pub(crate) fn add(track: &mut Track, values: &[f32], tolerance: f32) {
         let fits = |to: usize| {
             (from + 1..to).all(|m| {
                 let share = (m - from) as f32 / (to - from) as f32;
-                let line = row(from).iter().zip(row(to)).map(|(&a, &b)| step * (a as f32 + share * (b - a) as f32));
+                let line = row(from).iter().zip(row(to)).map(|(&a, &b)| step * (a as f32 + share * apart(a, b)));
                 off(line.zip(&values[m * width..]).map(|(a, b)| a - b), width) <= tolerance
             })
         };

@@ -25,8 +25,8 @@ const CLIP_JS: &str = include_str!("page/clip.js");
 const PLAYER_JS: &str = include_str!("page/player.js");
 /// What stands before and behind the clip in a page.
 const MARKS: [&str; 2] = ["<script id=\"clip\" type=\"text/plain\">", "</script>"];
-/// Most bytes of a clip that is read back.
-const MOST: u64 = 2 << 30;
+/// Most bytes that one packed byte of a clip is read back as, and as many of any.
+const MOST: [u64; 2] = [64, 48 << 20];
 
 /// The first view of a page.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -112,7 +112,7 @@ impl Page {
     }
 }
 
-/// The clip of a page.
+/// The clip of a page. It takes at most 64 times as many bytes as it is packed in, and 48 MiB.
 ///
 /// # Errors
 /// A page without one, or a damaged one.
@@ -122,7 +122,8 @@ pub fn read(html: &str) -> Result<Clip, PlayerError> {
     let (text, _) = text.ok_or_else(|| wrong("it holds no scene"))?;
     let packed = STANDARD.decode(text.trim()).map_err(|e| wrong(&e.to_string()))?;
     let mut bytes = Vec::new();
-    DeflateDecoder::new(packed.as_slice()).take(MOST).read_to_end(&mut bytes).map_err(|e| wrong(&e.to_string()))?;
+    let most = MOST[0] * packed.len() as u64 + MOST[1];
+    DeflateDecoder::new(packed.as_slice()).take(most).read_to_end(&mut bytes).map_err(|e| wrong(&e.to_string()))?;
     Clip::parse(&bytes).map_err(|e| wrong(&e))
 }
 

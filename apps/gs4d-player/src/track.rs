@@ -16,6 +16,11 @@ pub(crate) struct Track {
     pub(crate) values: Vec<i32>,
 }
 
+/// How far two values of a track are apart, in steps.
+pub(crate) fn apart(a: i32, b: i32) -> f32 {
+    (i64::from(b) - i64::from(a)) as f32
+}
+
 /// The step of an exponent.
 pub(crate) fn step(exponent: i8) -> f32 {
     f32::from(exponent).exp2()
@@ -44,7 +49,7 @@ impl Track {
         let step = step(self.exponents[splat]);
         let row = |key: usize| &self.values[(self.starts[splat] + key) * self.width..][..self.width];
         for (out, (&x, &y)) in out.iter_mut().zip(row(a).iter().zip(row(b))) {
-            *out = step * (x as f32 + share * (y - x) as f32);
+            *out = step * (x as f32 + share * apart(x, y));
         }
     }
 
@@ -102,5 +107,19 @@ impl Track {
             }
         }
         Ok(Self { width, exponents, starts, frames: times, values })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_at_the_ends_of_their_range_are_joined_by_a_line() {
+        let mut track = Track::new(1);
+        track.push(0, &[0, 2], &[i32::MIN, i32::MAX]);
+        let mut out = [0.0];
+        track.at(0, 1.0, &mut out);
+        assert!(out[0].abs() <= 128.0, "half-way, of 2^32 steps: {}", out[0]);
     }
 }

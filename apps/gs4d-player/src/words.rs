@@ -11,7 +11,7 @@
 //! `(1 − p, 1 − v)`, `(1, 1)`: every kernel of [`gs_core::Kernel`] with bounded support; `p = v` is the Gaussian.
 
 use gs_core::kernel::Profile;
-use gs_core::{Camera, Color, Splats, cast, sh};
+use gs_core::{Camera, Color, Splats, cast, rot, sh};
 use half::f16;
 
 /// Bytes of a splat.
@@ -55,8 +55,8 @@ fn color(color: &Color, i: usize, mean: [f32; 3], eye: [f64; 3]) -> [f32; 3] {
 
 /// A quaternion of length 1; zero is the identity.
 fn unit_quat(q: [f32; 4]) -> [f32; 4] {
-    let length = q.iter().map(|v| v * v).sum::<f32>().sqrt();
-    if length > 0.0 { q.map(|v| v / length) } else { [1.0, 0.0, 0.0, 0.0] }
+    let unit = rot::normalise(q).wxyz;
+    if unit == [0.0; 4] { [1.0, 0.0, 0.0, 0.0] } else { unit }
 }
 
 fn unit(v: f32) -> u8 {

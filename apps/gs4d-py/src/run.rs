@@ -19,7 +19,12 @@ type Matrices = ([f64; 16], [f64; 9], u32, u32);
 
 /// A run, open for reading.
 #[pyclass(frozen)]
-pub(crate) struct Run(OpenRun, OnceLock<Vec<Training>>);
+pub(crate) struct Run {
+    run: OpenRun,
+    /// Whether the caller said where the data are: if they cannot be read there, that is an error.
+    data_given: bool,
+    views: OnceLock<Vec<Training>>,
+}
 
 /// Name, camera and normalised time of a training view.
 type Training = (String, Camera, f32);
@@ -28,7 +33,8 @@ type Training = (String, Camera, f32);
 #[pyfunction]
 pub(crate) fn open_run(py: Python<'_>, path: PathBuf, data: Option<PathBuf>) -> PyResult<Run> {
     let run = py.detach(|| OpenRun::open_with(gs_methods::registry(), &path, data.as_deref()));
-    run.map(|run| Run(run, OnceLock::new())).map_err(|e| PyValueError::new_err(format!("{}: {e}", path.display())))
+    let run = run.map_err(|e| PyValueError::new_err(format!("{}: {e}", path.display())))?;
+    Ok(Run { run, data_given: data.is_some(), views: OnceLock::new() })
 }
 
 fn error(e: impl std::fmt::Display) -> PyErr {
@@ -41,18 +47,25 @@ fn timestamp(t: f64) -> PyResult<Timestamp> {
 }
 
 impl Run {
+    /// What was read of the data; nothing where they are gone and the caller named no other place.
+    fn known<T: Default>(&self, read: Result<T, impl std::fmt::Display>) -> PyResult<T> {
+        read.or_else(|e| if self.data_given { Err(error(e)) } else { Ok(T::default()) })
+    }
+
     /// What is known of the data, where they are or were kept.
-    fn kept(&self) -> Kept {
-        self.0.kept().unwrap_or_default()
+    fn kept(&self) -> PyResult<Kept> {
+        self.known(self.run.kept())
     }
 
     /// The training views, or those that were kept, as they were learnt; the data are opened once.
-    fn views(&self) -> &[Training] {
-        self.1.get_or_init(|| {
-            let (views, placed) = (self.0.training_views().unwrap_or_default(), self.0.placed());
-            let learnt = views.iter().map(|view| placed.view(view));
-            learnt.map(|view| (view.name, view.camera, view.time.normalised)).collect()
-        })
+    fn views(&self) -> PyResult<&[Training]> {
+        if let Some(views) = self.views.get() {
+            return Ok(views);
+        }
+        let (views, placed) = (self.known(self.run.training_views())?, self.run.placed());
+        let learnt = views.iter().map(|view| placed.view(view));
+        let views = learnt.map(|view| (view.name, view.camera, view.time.normalised)).collect();
+        Ok(self.views.get_or_init(|| views))
     }
 
     /// The camera asked for; else a training camera, or one at the origin.
@@ -60,7 +73,7 @@ impl Run {
         if let Some((viewmat, k, width, height)) = matrices {
             return camera(0, viewmat, k, width, height);
         }
-        match self.views().first() {
+        match self.views()?.first() {
             Some((_, camera, _)) => Ok(camera.clone()),
             None => Camera::look_at(64, 64, 1.0, DVec3::ZERO, DVec3::Z, DVec3::NEG_Y).map_err(error),
         }
@@ -72,40 +85,40 @@ impl Run {
     /// Name of the method.
     #[getter]
     fn method(&self) -> String {
-        self.0.loaded.model.name().to_owned()
+        self.run.loaded.model.name().to_owned()
     }
 
     /// Optimizer steps made.
     #[getter]
     fn step(&self) -> u32 {
-        self.0.loaded.step
+        self.run.loaded.step
     }
 
     /// The colour behind the scene that the run is evaluated over.
     #[getter]
     fn background(&self) -> [f32; 3] {
-        self.0.background()
+        self.run.background()
     }
 
     /// Normalised training timestamps; empty if they are not known.
-    fn times(&self, py: Python<'_>) -> Vec<f32> {
-        py.detach(|| self.kept().times)
+    fn times(&self, py: Python<'_>) -> PyResult<Vec<f32>> {
+        Ok(py.detach(|| self.kept())?.times)
     }
 
     /// Name, camera and normalised time of training views; empty if they are not known.
-    fn cameras(&self, py: Python<'_>) -> Vec<(String, Matrices, f32)> {
+    fn cameras(&self, py: Python<'_>) -> PyResult<Vec<(String, Matrices, f32)>> {
         let of = |c: &Camera| {
             let k = [c.fx, 0.0, c.cx, 0.0, c.fy, c.cy, 0.0, 0.0, 1.0];
             (c.viewmat().transpose().to_cols_array(), k, c.width, c.height)
         };
-        let views = py.detach(|| self.views());
-        views.iter().map(|(name, camera, time)| (name.clone(), of(camera), *time)).collect()
+        let views = py.detach(|| self.views())?;
+        Ok(views.iter().map(|(name, camera, time)| (name.clone(), of(camera), *time)).collect())
     }
 
     /// All splats at a normalised time, in the same order at every time.
     fn splats<'py>(&self, py: Python<'py>, t: f64, camera: Option<Matrices>) -> PyResult<Bound<'py, PyDict>> {
         let (at, camera, pool) = (timestamp(t)?, py.detach(|| self.camera(camera))?, pool(None)?);
-        let splats = py.detach(|| pool.install(|| self.0.loaded.model.all_splats(&at, &camera))).map_err(error)?;
+        let splats = py.detach(|| pool.install(|| self.run.loaded.model.all_splats(&at, &camera))).map_err(error)?;
         columns(py, splats)
     }
 
@@ -119,8 +132,8 @@ impl Run {
         threads: Option<usize>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let (at, camera, pool) = (timestamp(t)?, self.camera(Some(matrices))?, pool(threads)?);
-        let model = &self.0.loaded.model;
-        let mut renderer = Renderer::new(model.raster_options(background.unwrap_or(self.0.background())));
+        let model = &self.run.loaded.model;
+        let mut renderer = Renderer::new(model.raster_options(background.unwrap_or(self.run.background())));
         renderer.options.check().map_err(error)?;
         let frame = py
             .detach(|| pool.install(|| model.splats(&at, &camera).and_then(|s| renderer.render(&s, &camera).cloned())));

@@ -84,10 +84,16 @@ def test_cotangents_that_do_not_fit_are_refused(bad, kind):
         vjp(bad)
 
 
+def _one_byte_on(array):
+    """A view of the same values that begins one byte into its memory."""
+    return np.frombuffer(b"0" + array.tobytes(), array.dtype, offset=1).reshape(array.shape)
+
+
 def test_what_concerns_gpus_has_no_effect():
     plain = drawn()[0]
     assert np.array_equal(plain, drawn(packed=False, tile_size=8, channel_chunk=1, segmented=True)[0])
     assert np.array_equal(plain, drawn(camera_model="pinhole", covars=None, rolling_shutter=None, absgrad=False)[0])
+    assert np.array_equal(plain, drawn(sparse_grad=np.False_, radius_clip=np.float32(0))[0])
 
 
 def test_arrays_may_have_any_strides_and_byte_views():
@@ -97,6 +103,11 @@ def test_arrays_may_have_any_strides_and_byte_views():
                for k, v in arguments.items()}
     assert not strided["means"].flags.c_contiguous
     assert np.array_equal(plain, gs4d.rasterization(**strided)[0])
+    moved = {k: _one_byte_on(v) if isinstance(v, np.ndarray) else v for k, v in arguments.items()}
+    assert not moved["means"].flags.aligned
+    assert np.array_equal(plain, gs4d.rasterization(**moved)[0])
+    image = _one_byte_on(plain[0])
+    assert gs4d.psnr(image, plain[0]) == np.inf
 
 
 def test_no_splats_show_the_background():

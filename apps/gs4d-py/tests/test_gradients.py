@@ -118,3 +118,14 @@ def test_the_constants_of_inria(dtype):
     near, far = drawn(0.15, constants="gsplat")[0], drawn(0.15, constants="inria")[0]
     assert near.max() > 0.9 and not far.any()
     assert not drawn(0.25, constants="inria", near_plane=0.3)[0].any() and drawn(0.25, constants="inria")[0].any()
+
+
+def test_the_gradient_of_a_background_is_a_sum_without_drift():
+    side = 1200
+    few = {**scene(dtype=np.float32), "width": side, "height": side, "threads": 1}
+    few["opacities"] = np.zeros_like(few["opacities"])
+    renders, _, _, vjp = gs4d.rasterization_vjp(**few)
+    d = np.full_like(renders, 0.1)
+    got = vjp(d)["backgrounds"]
+    assert got.dtype == np.float32
+    assert np.abs(got / (np.float64(d[0, 0, 0, 0]) * side * side) - 1).max() < 1e-6

@@ -49,6 +49,15 @@ def test_a_run_and_its_compact_file(folder):
     assert moved.shape == splats["means"].shape and np.isfinite(moved).all()
 
 
+def test_data_that_are_not_where_they_are_said_to_be_are_an_error(folder):
+    run = gs4d.load(folder / "run", data=folder / "nowhere")
+    for read in (lambda: run.times, lambda: run.cameras, lambda: run.splats(0)):
+        with pytest.raises(ValueError, match="nowhere"):
+            read()
+    place = gs4d.load(folder / "run").cameras[0]
+    assert len(run.splats(0, place)["means"]) > 0
+
+
 def test_what_does_not_fit_is_refused(folder):
     run = gs4d.load(folder / "run")
     with pytest.raises(ValueError, match="time"):

@@ -2,6 +2,8 @@
 
 import operator
 
+import numpy as np
+
 #: Arguments of gsplat, and columns of kernels, that are refused unless they have this value, and what to do instead.
 REFUSED = {
     "radius_clip": (0.0, "remove small splats from the arrays"),
@@ -122,8 +124,16 @@ def refuse(arguments):
         if name not in REFUSED:
             raise TypeError(f"rasterization() got an unexpected keyword argument {name!r}")
         default, advice = REFUSED[name]
-        if value is not None and not (type(value) in (bool, int, float, str) and value == default):
+        if value is not None and not _is_default(value, default):
             raise ValueError(f"{name} = {value!r} is not supported: {advice}")
+
+
+def _is_default(value, default):
+    """Whether a value, plain or of numpy, is the default. gsplat's own name of a camera without a rolling shutter is GLOBAL."""
+    if getattr(value, "name", None) == "GLOBAL":
+        return True
+    plain = value.item() if isinstance(value, np.generic) else value
+    return type(plain) in (bool, int, float, str) and plain == default
 
 
 def _whole(name, value, least, most):

@@ -33,4 +33,4 @@ def _pixels(name, value):
     if array.dtype.kind != "f" or array.ndim not in (2, 3):
         raise ValueError(f"{name} must be floats of shape [height, width] or [height, width, channels], not {array.dtype} "
                          f"of {list(array.shape)}")
-    return np.ascontiguousarray(array.reshape(*array.shape[:2], -1), dtype=np.float32)
+    return np.require(array.reshape(*array.shape[:2], -1), np.float32, "CA")

@@ -42,7 +42,8 @@ def rasterization(means, quats, scales, opacities, colors, viewmats, Ks, width, 
     Returns:
         renders [C, height, width, D (+ 1)], alphas [C, height, width, 1], and a dictionary: ``width``, ``height``,
         ``n_cameras``, and in float32 of each splat on the screen ``means2d`` [C, N, 2], ``depths`` [C, N] and ``radii``
-        [C, N], three standard deviations in pixels; zeros where a splat touches no tile.
+        [C, N], three standard deviations in pixels; zeros where a splat touches no tile, and for some that lie behind what
+        is opaque.
 
     Raises:
         TypeError, ValueError: name the argument and say what is wrong with it.
@@ -101,12 +102,12 @@ def rasterize(arguments, keep):
     for name, array in arrays.items():
         if array is not None and not isinstance(array, np.ndarray):
             raise TypeError(f"{name} must be a numpy array, not {type(array).__name__}")
-    given = {name: np.ascontiguousarray(array) for name, array in arrays.items() if array is not None}
+    given = {name: np.require(array, requirements="CA") for name, array in arrays.items() if array is not None}
     backgrounds = given.pop("backgrounds", None)
     if backgrounds is not None and not np.isfinite(backgrounds).all():
         raise ValueError("backgrounds: all values must be finite")
     if p.degree is not None:
-        given["colors"] = np.ascontiguousarray(given["colors"][..., :p.coefficients, :])
+        given["colors"] = np.require(given["colors"][..., :p.coefficients, :], requirements="CA")
     out = _gs4d.draw(given, p.settings, keep)
     alphas, images = out["alphas"], []
     if p.has_color:
@@ -138,10 +139,11 @@ def rasterize(arguments, keep):
             more.append(np.where(alpha > _LEAST_ALPHA, -d["depths"] * depth, 0))
         if behind is not None:
             more.append(-(d["colors"] * behind).sum(-1, keepdims=True))
-            grads["backgrounds"] = (d["colors"] * (1 - alpha)).sum((1, 2))
+            # In f64: numpy adds up one by one along these axes.
+            grads["backgrounds"] = (d["colors"] * (1 - alpha)).sum((1, 2), dtype=np.float64).astype(p.dtype)
         if d_alphas is not None or more:
             d["alphas"] = sum(more, np.zeros_like(alpha) if d_alphas is None else d_alphas)
-        pulled = out["rendering"].pull_back({name: np.ascontiguousarray(array) for name, array in d.items()})
+        pulled = out["rendering"].pull_back({name: np.require(array, requirements="CA") for name, array in d.items()})
         meta["means2d_grad"] = pulled.pop("means2d")
         for name, shape in shapes.items():
             if name == "colors":

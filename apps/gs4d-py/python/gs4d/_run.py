@@ -12,7 +12,7 @@ def load(path, data=None):
     """Opens a run folder, a checkpoint or a compact file (``.gs4d``). ``data`` is the folder of its data, if they moved.
 
     Raises:
-        ValueError: says why it cannot be opened.
+        ValueError: says why it cannot be opened. What needs the data raises it where ``data`` was given and cannot be read.
     """
     return Run(_gs4d.open_run(os.fspath(path), None if data is None else os.fspath(data)))
 

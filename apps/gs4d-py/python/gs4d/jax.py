@@ -9,6 +9,10 @@ from ._arguments import ARRAYS
 
 __all__ = ["rasterization"]
 
+# Earlier ones have no callback that vmap can repeat, or wait for themselves on one core.
+if tuple(int(part) for part in jax.__version__.split(".")[:2]) < (0, 5):
+    raise ImportError(f"gs4d.jax needs JAX 0.5 or later, and this is {jax.__version__}: pip install -U 'jax>=0.5'")
+
 
 def rasterization(means, quats, scales, opacities, colors, viewmats, Ks, width, height, near_plane=0.01, far_plane=1e10,
                   radius_clip=0.0, eps2d=0.3, sh_degree=None, packed=True, tile_size=None, backgrounds=None,
