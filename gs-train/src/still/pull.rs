@@ -1,10 +1,11 @@
 //! A pull to rest: what the images do not ask for, the field is not to move.
 //!
 //! ```text
-//! L = pull / n · Σ reach ‖Δm‖ / pixels + (‖Δs‖ / max |s| + 2 ‖Δq‖ / ‖q‖) / shape        Δ: what the field adds to a splat
+//! L = pull / n · Σ ln(1 + u)
+//! u = reach ‖Δm‖ / pixels + (‖Δs‖ / max |s| + 2 ‖Δq‖ / ‖q‖) / shape        Δ: what the field adds to a splat
 //! ```
 //! over the splats that take part in the field and that a view has shown: the measures by which a splat counts as still, in units of
-//! their tolerances. Its slope is the same at any distance, so that a small motion goes to nothing and a large one that the
+//! their tolerances. Its slope falls with distance, so that a small motion goes to nothing and a large one that the
 //! images ask for stays. `reach`, `|s|` and `‖q‖` count as constants.
 
 use glam::Vec4;
@@ -37,15 +38,14 @@ impl Pull {
         let [from, now] = [canonical.quats[row], moved.quats[row]].map(Vec4::from);
         let quat = now - from;
         let size = canonical.scales[row].abs().max_element().max(f32::MIN_POSITIVE);
-        let slopes = [
-            self.weight * reach / self.pixels,
-            self.weight / (self.shape * size),
-            self.weight * 2.0 / (self.shape * from.length().max(f32::MIN_POSITIVE)),
-        ];
+        let units =
+            [reach / self.pixels, 1.0 / (self.shape * size), 2.0 / (self.shape * from.length().max(f32::MIN_POSITIVE))];
+        let u = units[0] * mean.length() + units[1] * scales.length() + units[2] * quat.length();
+        let slopes = units.map(|unit| self.weight / (1.0 + u) * unit);
         to.means[row] = slopes[0] * mean.normalize_or_zero();
         to.scales[row] = slopes[1] * scales.normalize_or_zero();
         to.quats[row] = (slopes[2] * quat.normalize_or_zero()).to_array();
-        slopes[0] * mean.length() + slopes[1] * scales.length() + slopes[2] * quat.length()
+        self.weight * u.ln_1p()
     }
 }
 
@@ -61,7 +61,8 @@ mod tests {
         let norm = |v: &[f64]| v.iter().map(|v| v * v).sum::<f64>().sqrt();
         let way = |range: std::ops::Range<usize>| norm(&range.map(|k| moved[k] - canonical[k]).collect::<Vec<_>>());
         let size = canonical[3..6].iter().fold(0.0f64, |m, v| m.max(v.abs()));
-        weight * (reach * way(0..3) / pixels + (way(3..6) / size + 2.0 * way(6..10) / norm(&canonical[6..])) / shape)
+        let u = reach * way(0..3) / pixels + (way(3..6) / size + 2.0 * way(6..10) / norm(&canonical[6..])) / shape;
+        weight * u.ln_1p()
     }
 
     fn geometry(v: &[f64; 10]) -> Geometry {
