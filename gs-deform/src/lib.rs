@@ -33,7 +33,8 @@
 //!
 //! # Conventions
 //! Points and scales in world units, quaternions `(w, x, y, z)` of any length, times normalised to 0 … 1 over the
-//! training span (beyond it planes and hash grids hold their end values, MLPs and Fourier features extrapolate). An
+//! training span (beyond it planes and hash grids hold their end values, planes of an even number of rows from half a row before 0 and hash grids
+//! from an eighteenth before 0 and after 1; MLPs and Fourier features extrapolate). An
 //! untrained field is the identity, bit for bit. Gradients are added, never overwritten. Results are bitwise equal for
 //! any number of threads; other instruction sets differ by rounding only.
 //!

@@ -16,24 +16,32 @@ impl Ablations {
     /// Leaves the parts out.
     ///
     /// # Errors
-    /// If there is no part of that name; says which there are. If the settings have left it out already: the run would be the same as
-    /// without the name, and show nothing about the part.
+    /// If there is no part of that name; says which there are. If the settings or the other names leave it out already: the run would
+    /// be the same as without the name, and show nothing about the part.
     pub fn apply<C: Clone + PartialEq>(&self, parts: &[Part<C>], config: &mut C) -> Result<(), String> {
-        for name in &self.0 {
-            let Some((_, leave_out)) = parts.iter().find(|part| part.0 == name) else {
-                let known: Vec<&str> = parts.iter().map(|part| part.0).collect();
-                return Err(format!("there is no part `{name}` to leave out; choose of {}", known.join(", ")));
-            };
-            let before = config.clone();
-            leave_out(config);
-            if *config == before {
+        let leave_out: Vec<fn(&mut C)> = self.0.iter().map(|name| find(parts, name)).collect::<Result<_, _>>()?;
+        for (i, name) in self.0.iter().enumerate() {
+            let mut others = config.clone();
+            (0..leave_out.len()).filter(|&j| j != i).for_each(|j| leave_out[j](&mut others));
+            let mut all = others.clone();
+            leave_out[i](&mut all);
+            if all == others {
                 return Err(format!(
-                    "the settings leave `{name}` out already: turn it on, or do not name it in `ablate`"
+                    "the settings or the other parts leave `{name}` out already: turn it on, or do not name it in `ablate`"
                 ));
             }
         }
+        leave_out.iter().for_each(|f| f(config));
         Ok(())
     }
+}
+
+/// What leaves the part of that name out.
+fn find<C>(parts: &[Part<C>], name: &str) -> Result<fn(&mut C), String> {
+    parts.iter().find(|part| part.0 == name).map(|part| part.1).ok_or_else(|| {
+        let known: Vec<&str> = parts.iter().map(|part| part.0).collect();
+        format!("there is no part `{name}` to leave out; choose of {}", known.join(", "))
+    })
 }
 
 impl From<String> for Ablations {
@@ -45,5 +53,28 @@ impl From<String> for Ablations {
 impl From<Ablations> for String {
     fn from(ablations: Ablations) -> String {
         ablations.0.join(",")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Without the first part the second has nothing to work on.
+    const PARTS: &[Part<[bool; 2]>] = &[("whole", |c| c[0] = false), ("detail", |c| c[1] &= !c[0])];
+
+    #[test]
+    fn parts_that_another_leaves_out_are_refused_in_any_order() {
+        for names in ["whole,detail", "detail,whole", "detail,detail"] {
+            let mut config = [true, true];
+            let error = Ablations::from(names.to_owned()).apply(PARTS, &mut config);
+            assert_eq!(config, [true, true], "{names}: nothing is left out");
+            assert!(error.is_err_and(|e| e.contains("`detail` out already")), "{names}");
+        }
+        for (name, left) in [("whole", [false, true]), ("detail", [true, false])] {
+            let mut config = [true, true];
+            Ablations::from(name.to_owned()).apply(PARTS, &mut config).unwrap();
+            assert_eq!(config, left, "{name}");
+        }
     }
 }

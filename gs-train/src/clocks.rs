@@ -36,6 +36,21 @@ pub(crate) fn motion_columns(grad: &SplatsGrad) -> SplatsGrad {
     SplatsGrad { means, quats, scales, opacities, ..SplatsGrad::default() }
 }
 
+/// Which of a method's splats are shown at a time may change with it, and then rows of two times are not the same splats.
+///
+/// # Errors
+/// If not all are shown.
+pub(crate) fn check_all_shown(shown: usize, all: usize, t: Time) -> Result<(), MethodError> {
+    if shown == all {
+        return Ok(());
+    }
+    Err(MethodError::Scene(format!(
+        "cameras.time needs a method with the same splats at every time, and this one shows {shown} of {all} at t = {:.4}; set \
+         cameras.time to false",
+        t.normalised
+    )))
+}
+
 /// `dL/dt`, per unit of normalised time, where the splats at `t` have the gradient `d`.
 ///
 /// # Errors
@@ -116,6 +131,14 @@ mod tests {
         let got = slope(&asked, t, 5.0, &gradient()).unwrap();
         let want = (2.0 * 0.4 * 1.0 - 2.0 * 3.0) + (0.2 + 3.0 * 0.8) + 0.6 + 0.1 * 10.0;
         assert!((got - want).abs() < 2e-3, "{got} {want}");
+    }
+
+    #[test]
+    fn a_choice_of_splats_is_refused() {
+        let t = Time { normalised: 0.4, seconds: 0.4 };
+        check_all_shown(2, 2, t).unwrap();
+        let error = check_all_shown(2, 3, t).unwrap_err().to_string();
+        assert!(error.contains("2 of 3") && error.contains("cameras.time"), "{error}");
     }
 
     #[test]

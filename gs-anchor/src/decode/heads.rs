@@ -117,7 +117,7 @@ impl Heads {
         self.seen(h).count()
     }
 
-    /// SplatRows of the appearance in the first layer of the colour head.
+    /// Columns of the appearance in the first layer of the colour head.
     fn appearance_columns(&self) -> Range<usize> {
         self.inputs_of(COLOR)..self.first[COLOR].inputs()
     }

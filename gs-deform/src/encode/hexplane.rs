@@ -10,7 +10,8 @@
 //!   has no gradient across it (on the face itself neither).
 //! * **Time**: normalised time 0 … 1 falls on rows `(R−1)/2 … R−1` of the time axis, as in the reference, which feeds
 //!   raw time into an axis made for [−1, 1]. Rows below `⌊(R−1)/2⌋` are never read there and are not stored here;
-//!   values and the weights of the regularisers are the same. Times outside 0 … 1 are clamped to the nearest end.
+//!   values and the weights of the regularisers are the same. Times above 1 are
+//!   clamped to it; times below 0 to the first stored row, which lies at 0 where R is odd and half a row before it where R is even.
 //! * **Layout**: `[channels / 16][nodes_b][nodes_a][16]`: sixteen channels of a node are one register and one load.
 //! * **One time per call**: the two rows of a time plane around the timestamp are blended into a line once, so a point
 //!   reads 18 texels instead of 24 (exact up to rounding).

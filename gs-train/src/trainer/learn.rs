@@ -188,6 +188,7 @@ impl Trainer {
             self.model.cameras_mut().add_gradient(row, &given, &grad);
         }
         if let (Some(row), Some(grad)) = (row, motion_grad.filter(|grad| !grad.means.is_empty())) {
+            clocks::check_all_shown(grad.means.len(), self.model.splat_count(), at.t)?;
             let splats = |at: &Timestamp| self.model.splats(at, &camera);
             let slope = clocks::slope(&splats, at.t, correction.clock, &grad)?;
             self.model.cameras_mut().add_time_gradient(row, slope);

@@ -151,7 +151,7 @@ impl Journal {
             ReportRow::new(
                 "intervals",
                 last.starts.len().to_string(),
-                "they share one deformation of the anchors each",
+                "anchors have one deformation in each, or one at each border and a blend between (`intervals.blend`)",
             ),
             ReportRow::new("idle passes", format!("{idle} of {steps}"), "no interval was above the threshold"),
         ]

@@ -36,7 +36,7 @@ pub struct Deformed<F: Field> {
     moved: Geometry,
     d_canonical: Geometry,
     anneal: Anneal,
-    /// Spacing of training times, normalised.
+    /// Width of the blur of training times, normalised: one part of as many as there are training views [DefGS].
     interval: f32,
     /// First step of the field's regularisers.
     regular_from: u32,

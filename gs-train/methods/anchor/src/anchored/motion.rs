@@ -36,7 +36,7 @@ pub struct Motion {
     pub lgd: Option<Lgd>,
     /// Where LGD is asked.
     pub query: Query,
-    /// The intervals GAD is constant in.
+    /// The intervals at which GAD is asked.
     pub intervals: Option<Intervals>,
 }
 

@@ -85,7 +85,7 @@ impl Poses {
 }
 
 impl Rest {
-    /// LocalAnchors factors below this count as zero.
+    /// Local factors below this count as zero.
     pub(super) fn below(&self) -> f32 {
         self.below
     }
