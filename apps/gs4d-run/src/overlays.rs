@@ -194,7 +194,7 @@ mod tests {
 
     /// What was not seen to move is one part, whatever is learnt of it.
     #[test]
-    fn parts_are_told_by_what_was_seen() {
+    fn parts_are_found_by_what_was_seen() {
         let config = gs_methods::registry().find("static3d").unwrap().config("tiny").unwrap();
         let model = Model::new("late", Late, section("static3d", &config, "schedule").unwrap()).unwrap();
         let camera = Camera::look_at(8, 8, 0.7, DVec3::Z * 4.0, DVec3::ZERO, DVec3::Y).unwrap();

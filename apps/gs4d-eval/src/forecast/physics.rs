@@ -189,16 +189,19 @@ mod tests {
 
     /// The wheel turns by 0.31 in a step of 0.1, by 0.13 in one of 0.04.
     #[test]
-    fn turns_too_fast_for_their_steps_are_told() {
+    fn turns_too_fast_for_their_steps_are_found() {
         let config = |text: &str| format!("[physics]\nstep_frames = 2.0\n{text}").parse::<toml::Table>().unwrap();
         let fast = |text: &str, frame| Physics::of(&wheel(), None, Steps::of(&config(text), frame)).fast;
-        let told = fast("[law]\nintegrator = \"rk2\"", 0.05).unwrap();
-        assert!(told.splats == 3 && (told.turn - 0.1 * std::f64::consts::PI).abs() < 1e-6, "{told:?}");
-        assert!((told.growth - told.turn.powi(4) / 8.0).abs() < 1e-5 && told.remedy.contains("se3_mid"), "{told:?}");
+        let found = fast("[law]\nintegrator = \"rk2\"", 0.05).unwrap();
+        assert!(found.splats == 3 && (found.turn - 0.1 * std::f64::consts::PI).abs() < 1e-6, "{found:?}");
+        assert!(
+            (found.growth - found.turn.powi(4) / 8.0).abs() < 1e-5 && found.remedy.contains("se3_mid"),
+            "{found:?}"
+        );
         assert!(fast("[law]\nintegrator = \"rk2\"", 0.02).is_none(), "slow enough for the second order");
         for first in ["euler", "mid_params"] {
-            let told = fast(&format!("[law]\nintegrator = \"{first}\""), 0.02).unwrap();
-            assert!(told.splats == 3 && (told.growth - 7.9e-3).abs() < 1e-4, "{first}: {told:?}");
+            let found = fast(&format!("[law]\nintegrator = \"{first}\""), 0.02).unwrap();
+            assert!(found.splats == 3 && (found.growth - 7.9e-3).abs() < 1e-4, "{first}: {found:?}");
         }
         let flow = fast("[velocity]\nhidden = 3", 0.05).unwrap();
         assert!(flow.splats == 3 && flow.remedy == "a smaller physics.step_frames", "{flow:?}");

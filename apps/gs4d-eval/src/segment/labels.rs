@@ -70,7 +70,7 @@ impl Default for Options {
 }
 
 impl Options {
-    /// What parts of a model with these particles are told by.
+    /// What parts of a model with these particles are found by.
     pub fn source(&self, learnt: Option<&Particles>) -> Source {
         let twists = learnt.is_some_and(|p| p.lasting);
         self.by.unwrap_or(if twists { Source::Twists } else { Source::Paths })

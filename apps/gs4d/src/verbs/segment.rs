@@ -170,7 +170,7 @@ impl Segment {
         let (paths, places) = (source == Source::Paths, self.positions > 0.0);
         let (option, why, remedy) = if paths && (places || self.feature.is_some()) {
             let option = if places { "--positions" } else { "--feature" };
-            (option, "on parts that are told by their paths", "leave it out")
+            (option, "where parts are found by their paths", "leave it out")
         } else if places && self.k == Count::Auto {
             let why = "with --k auto: parts that move alike are one, wherever they are";
             ("--positions", why, "say how many parts there are, --k N, or leave it out")
@@ -328,7 +328,7 @@ mod tests {
             line.verb.refuse_unused(source).err().map(|e| e.message()).unwrap_or_default()
         };
         let (places, feature) = (["--positions", "0.5"], ["--feature", "polar"]);
-        let by_paths = "has no effect on parts that are told by their paths";
+        let by_paths = "has no effect where parts are found by their paths";
         assert!(refused(&places, Source::Twists).starts_with("--positions has no effect with --k auto"));
         assert_eq!(refused(&places, Source::Paths), format!("--positions {by_paths}"));
         assert_eq!(refused(&feature, Source::Paths), format!("--feature {by_paths}"));

@@ -6,9 +6,10 @@
 //! ```
 //! Under another light that the image has as well, these are the Gaussians of the recorded one, lit.
 
-use super::actor::{Actor, FrameError, MeanTextures, Second};
+use super::actor::{Actor, FrameError, Second};
 use super::config::{Config, DirectColor};
 use super::light;
+use super::mean::MeanTextures;
 use super::texels::{TexelRows, coefficient, reference};
 use gs_core::{Param, Params};
 use gs_texel::gaussians::{COLOR, Channels};

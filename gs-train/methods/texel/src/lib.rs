@@ -15,20 +15,21 @@ mod config;
 mod direct;
 mod geometry;
 mod light;
+mod mean;
 mod network;
 mod oracle;
 mod tape;
 mod texels;
 mod texture;
 
-pub use actor::{Actor, ActorError, First, FrameError, MeanTextures, Posed, Second, Seen};
+pub use actor::{Actor, ActorError, First, FrameError, Posed, Second, Seen};
 pub use config::{
     Config, DirectColor, DirectConfig, GauConfig, GaussianConfig, Input, LaplacianRule, Mode, Phase, Plan, PointRule,
     ReferenceConfig, ResizeRule, SurfaceConfig, TextureLoss, TextureSizes, UnseenColor,
 };
+pub use mean::MeanTextures;
 pub use oracle::OracleOptions;
 
-use actor::MeanTexture;
 use cache::Cache;
 use direct::Direct;
 use geometry::Geometry;
@@ -48,6 +49,7 @@ use gs_train::report::{ReportRow, Section};
 use gs_train::scene::SceneInfo;
 use gs_train::step::StepCtx;
 use gs_train::timestamp::Timestamp;
+use mean::MeanTexture;
 use network::Network;
 use std::path::PathBuf;
 use std::sync::Arc;

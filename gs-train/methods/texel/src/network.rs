@@ -1,7 +1,8 @@
 //! GauNet under training: rows of texel Gaussians from a frame's second texture.
 
-use super::actor::{Actor, FrameError, MeanTextures, Second};
+use super::actor::{Actor, FrameError, Second};
 use super::config::{Config, UnseenColor};
+use super::mean::MeanTextures;
 use super::tape::{covered, last, with_tape};
 use super::texels::{TexelRows, coefficient, reference};
 use gs_core::{Image, Param, Params, cast};

@@ -460,14 +460,17 @@ fn motions_before_the_last_field_time_are_those_of_that_time() {
 }
 
 #[test]
-fn settings_without_effect_are_told() {
+fn settings_without_effect_are_named() {
     let all = PhysicsConfig { refit: true, slack: 0.01, bodies: 3, ..CONFIG };
     let law = |integrator, config| {
         let law = LawConfig { integrator, ..LawConfig::small() };
         method_of(Law::new(&law, Vec3::ZERO, 0.1, 1).unwrap(), config, true).warnings()
     };
-    let told = law(Integrator::Rk2, all);
-    assert!(told.len() == 2 && told[0].contains("physics.slack") && told[1].contains("physics.bodies"), "{told:?}");
+    let warnings = law(Integrator::Rk2, all);
+    assert!(
+        warnings.len() == 2 && warnings[0].contains("physics.slack") && warnings[1].contains("physics.bodies"),
+        "{warnings:?}"
+    );
     assert!(law(Integrator::Se3Mid, all).is_empty() && law(Integrator::Rk2, CONFIG).is_empty());
     assert_eq!(method(all, true).warnings().len(), 3);
 }
