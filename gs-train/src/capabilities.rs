@@ -98,6 +98,9 @@ pub struct Overlay {
     pub meaning: &'static str,
 }
 
+/// The colour of splats whose number is not known.
+const UNKNOWN: [f32; 3] = [0.5; 3];
+
 /// A number about each splat.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Quantity {
@@ -122,15 +125,23 @@ impl Quantity {
         self.range.unwrap_or_else(|| {
             let whole = [f32::INFINITY, f32::NEG_INFINITY];
             let [low, high] = self.values.iter().fold(whole, |[a, b], &v| [a.min(v), b.max(v)]);
-            if low < high { [low, high] } else { [low, low + 1.0] }
+            match (low < high, low.is_finite()) {
+                (true, _) => [low, high],
+                (false, true) => [low, low + 1.0],
+                (false, false) => [0.0, 1.0],
+            }
         })
     }
 
-    /// The values in the colours of [`color_scale`], from the lower to the upper end of the span.
+    /// The values in the colours of [`color_scale`], from the lower to the upper end of the span; grey where they are no numbers.
     pub fn overlay(&self) -> Overlay {
         let [low, high] = self.span();
-        let colors = self.values.iter().map(|v| color_scale((v - low) / (high - low))).collect();
-        Overlay { name: self.name, colors, meaning: "dark blue is least, pale yellow most" }
+        let color = |v: &f32| if v.is_nan() { UNKNOWN } else { color_scale((v - low) / (high - low)) };
+        let meaning = match self.values.iter().any(|v| v.is_nan()) {
+            false => "dark blue is least, pale yellow most",
+            true => "dark blue is least, pale yellow most, grey is not known",
+        };
+        Overlay { name: self.name, colors: self.values.iter().map(color).collect(), meaning }
     }
 }
 
@@ -289,5 +300,21 @@ impl PaperStorage {
     /// Bytes that rendering needs, four per value.
     pub fn needed_bytes(&self) -> usize {
         4 * self.rows.iter().map(|r| r.needed_values).sum::<usize>()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_not_known_is_neither_least_nor_most() {
+        let of = |values: Vec<f32>| Quantity { name: "deviation", unit: "units", range: None, values };
+        let (known, some) = (of(vec![0.1, 0.3, 0.2]), of(vec![0.1, f32::NAN, 0.3, 0.2]));
+        let [least, most, middle]: [[f32; 3]; 3] = known.overlay().colors.try_into().unwrap();
+        assert_eq!((some.overlay().colors, some.span()), (vec![least, UNKNOWN, most, middle], known.span()));
+        assert!(some.overlay().meaning.contains("grey") && !known.overlay().meaning.contains("grey"));
+        let none = of(vec![f32::NAN; 2]);
+        assert_eq!((none.overlay().colors, none.span()), (vec![UNKNOWN; 2], [0.0, 1.0]));
     }
 }

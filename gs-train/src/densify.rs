@@ -10,7 +10,8 @@
 //! ```
 //! Copies and children have the kernel of their parent; a reset of opacities leaves it alone. Samples come from the
 //! counter-based generator, one stream per (step, parent, child). Where the reference code clears the radii before it
-//! tests them, so that the screen rule never fires, here both size rules are live.
+//! tests them, so that the screen rule never fires, here both size rules are live. A splat that no frame has shown since the last pass
+//! stays, whatever its opacity; too large for `max_world` it goes nevertheless, as there.
 
 use gs_core::cloud::{Cloud, logit, sigmoid};
 use gs_core::param::RowEditError;
@@ -422,6 +423,8 @@ fn reset_opacities(cloud: &mut Cloud, limit: f32) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::registry::section;
+    use crate::schedule::{Background, Schedule};
     use glam::Vec3;
 
     const AT: DensifyContext = DensifyContext { step: 600, clock: 600, extent: 1.0, seed: 5, white: false };
@@ -484,6 +487,20 @@ mod tests {
             d.densify(&rules, &DensifyContext { clock, ..AT }, &mut c).unwrap().pruned
         };
         assert_eq!((run(2900), run(3100)), (0, 2));
+    }
+
+    /// As in the reference code: how large a splat is in the world is known without a view, its radius on the screen is not.
+    #[test]
+    fn a_splat_too_large_for_the_world_goes_unseen_as_well() {
+        let pruned = |radius: f32| {
+            let mut c = cloud(&[0.2, 0.001, 0.001]);
+            c.logit_opacities.value[2] = logit(0.001);
+            let mut d = Densify::new(3);
+            d.accumulate(&ScreenStats { grad_means2d: vec![[0.0; 2]; 3], radii: vec![radius; 3] }, 64, 64);
+            let did = d.densify(&DensifyRules::kerbl2023(), &DensifyContext { clock: 3100, ..AT }, &mut c).unwrap();
+            (did.pruned, c.means.value[0])
+        };
+        assert_eq!([0.0, 1.0].map(pruned), [(1, 1.0), (2, 1.0)], "the small one stays, unseen the faint one too");
     }
 
     #[test]
@@ -563,6 +580,29 @@ mod tests {
         assert!(Densify::new(2).densify(&rules, &DensifyContext { clock: 3000, ..AT }, &mut c).unwrap().reset);
         assert!((sigmoid(c.logit_opacities.value[0]) - 0.01).abs() < 1e-6 && c.logit_opacities.value[1] == -5.0);
         assert_eq!(c.logit_opacities.moment2, [0.0; 2]);
+    }
+
+    /// Every 3000 steps and, over white, where growth begins. TRACE's code spares step 3000, at which its warm-up ends; that of
+    /// Deformable 3DGS does not.
+    #[test]
+    fn published_presets_reset_opacities_as_their_authors_do_and_short_ones_never() {
+        let resets = |method: &'static str, preset: &str| {
+            let config = gs_methods::registry().find(method).and_then(|m| m.config(preset)).unwrap();
+            let schedule: Schedule = section(method, &config, "schedule").unwrap();
+            let (rules, white) = (&schedule.density, schedule.background == Background::White);
+            let due = |step: &u32| {
+                let at = schedule.at(*step);
+                rules.edits_at(at.clock, at.deform_only, at.ends_stage) && rules.resets_at(at.clock, white)
+            };
+            (1..=schedule.steps()).filter(due).collect::<Vec<u32>>()
+        };
+        for preset in ["paper", "parity"] {
+            assert_eq!(resets("trace", preset), [500, 6000, 9000, 12_000], "{preset}");
+        }
+        assert_eq!(resets("defgs", "paper"), [3000, 6000, 9000, 12_000]);
+        for (method, preset) in [("trace", "fast"), ("trace", "tiny"), ("defgs", "fast"), ("defgs", "tiny")] {
+            assert!(resets(method, preset).is_empty(), "{method} {preset}");
+        }
     }
 
     #[test]

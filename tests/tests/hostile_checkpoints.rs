@@ -9,6 +9,7 @@ use gs_train::registry::MethodEntry;
 use gs_train::saved;
 use gs_train::testkit::{config, start};
 use serde_json::{Value, json};
+use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
@@ -46,6 +47,9 @@ fn load(entry: &MethodEntry, data: &Dataset, state: &Checkpoint) -> Result<bool,
 /// Sides of textures decide the memory of a frame, not of the file: a film is loaded only beside its data.
 const TEXTURES: &str = "/config/textures/";
 
+/// Settings that all methods read alike; each number is tried with the first three methods that have it.
+const SHARED: [&str; 4] = ["/config/schedule/", "/config/data/", "/config/cameras/", "/config/run/"];
+
 /// Every number of a JSON value, by pointer.
 fn numbers(value: &Value, at: &str) -> Vec<String> {
     let inside: Vec<(String, &Value)> = match value {
@@ -59,12 +63,19 @@ fn numbers(value: &Value, at: &str) -> Vec<String> {
 
 #[test]
 fn no_number_of_a_checkpoint_is_believed_before_its_bytes_are_counted() {
-    let mut faults = Vec::new();
+    let (mut faults, mut tried) = (Vec::new(), HashMap::<String, u32>::new());
     for entry in gs_methods::registry() {
         let data = data_of(entry);
         let state = saved_state(entry, &data);
         assert_eq!(load(entry, &data, &state), Ok(true), "{}", entry.name);
         for at in numbers(&state.meta, "").into_iter().filter(|at| !at.starts_with(TEXTURES)) {
+            if SHARED.iter().any(|section| at.starts_with(section)) {
+                let tried = tried.entry(at.clone()).or_default();
+                *tried += 1;
+                if *tried > 3 {
+                    continue;
+                }
+            }
             let key = at.strip_prefix("/config/").map(|key| key.replace('/', "."));
             let own = key
                 .and_then(|key| domain(key.trim_end_matches(|c: char| c.is_ascii_digit() || c == '.'), entry.domains));

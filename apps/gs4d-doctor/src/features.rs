@@ -20,6 +20,8 @@ const MIN_STRENGTH: f32 = 2e-4;
 /// Least correlation of a match, and the largest ratio of `1 − correlation` of the best to that of the second best.
 const MIN_CORRELATION: f32 = 0.85;
 const MAX_RATIO: f32 = 0.7;
+/// Corners that are compared at once with all those of another image.
+const PART: usize = 64;
 
 /// A corner and its descriptor.
 #[derive(Clone, Debug)]
@@ -71,26 +73,65 @@ pub(super) fn corners(grey: &Image, inside: &[bool]) -> Vec<Corner> {
 
 /// Matches between the corners of two images, as pairs of indices.
 pub(super) fn match_corners(a: &[Corner], b: &[Corner]) -> Vec<(usize, usize)> {
-    let clear = |c: &Corner, others: &[Corner]| best(c, others).filter(|(_, clear)| *clear).map(|(j, _)| j);
-    let mutual = |(i, c): (usize, &Corner)| {
-        let j = clear(c, b)?;
-        (best(&b[j], a)?.0 == i).then_some((i, j))
-    };
-    a.par_iter().enumerate().filter_map(mutual).collect()
-}
-
-/// The index of the best match, and whether it passes both thresholds.
-fn best(c: &Corner, others: &[Corner]) -> Option<(usize, bool)> {
-    let (mut first, mut second, mut at) = (f32::NEG_INFINITY, f32::NEG_INFINITY, None);
-    for (j, o) in others.iter().enumerate() {
-        let correlation = correlation(&c.patch, &o.patch);
-        if correlation > first {
-            (second, first, at) = (first, correlation, Some(j));
-        } else if correlation > second {
-            second = correlation;
+    let part = |(k, some): (usize, &[Corner])| compared(some, k * PART, b);
+    let parts: Vec<_> = a.par_chunks(PART).enumerate().map(part).collect();
+    let mut back = vec![(f32::NEG_INFINITY, 0); b.len()];
+    for (_, of_b) in &parts {
+        for (best, other) in back.iter_mut().zip(of_b) {
+            if other.0 > best.0 {
+                *best = *other;
+            }
         }
     }
-    at.map(|j| (j, first >= MIN_CORRELATION && 1.0 - first <= MAX_RATIO * (1.0 - second)))
+    let forth = parts.iter().flat_map(|(of_a, _)| of_a).enumerate();
+    forth.filter(|(i, best)| best.is_clear() && back[best.at].1 == *i).map(|(i, best)| (i, best.at)).collect()
+}
+
+/// The best match of a corner among others.
+#[derive(Clone, Copy)]
+struct Best {
+    at: usize,
+    /// Correlations of the best and of the second best.
+    first: f32,
+    second: f32,
+}
+
+impl Best {
+    /// Of no others.
+    const NONE: Self = Self { at: 0, first: f32::NEG_INFINITY, second: f32::NEG_INFINITY };
+
+    /// With one more of the others; of equal ones the first stays.
+    fn or(self, at: usize, correlation: f32) -> Self {
+        if correlation > self.first {
+            Self { at, first: correlation, second: self.first }
+        } else {
+            Self { second: self.second.max(correlation), ..self }
+        }
+    }
+
+    /// Whether it passes both thresholds.
+    fn is_clear(&self) -> bool {
+        self.first >= MIN_CORRELATION && 1.0 - self.first <= MAX_RATIO * (1.0 - self.second)
+    }
+}
+
+/// The best match of each of some corners of `a`, the first of which is number `from`, among those of `b`; and of each of `b`
+/// among these the correlation and the number.
+fn compared(some: &[Corner], from: usize, b: &[Corner]) -> (Vec<Best>, Vec<(f32, usize)>) {
+    let mut of_b = vec![(f32::NEG_INFINITY, from); b.len()];
+    let of_one = |(i, c): (usize, &Corner)| {
+        let mut best = Best::NONE;
+        for (j, (other, back)) in b.iter().zip(&mut of_b).enumerate() {
+            let correlation = correlation(&c.patch, &other.patch);
+            best = best.or(j, correlation);
+            if correlation > back.0 {
+                *back = (correlation, i);
+            }
+        }
+        best
+    };
+    let of_a = (from..).zip(some).map(of_one).collect();
+    (of_a, of_b)
 }
 
 /// The scalar product. Eight sums side by side are vectorised, one alone is not: all pairs of corners come here.

@@ -155,7 +155,7 @@ impl<'a> HullFit<'a> {
         let cameras: Vec<&Camera> = s.shapes.iter().map(|(_, h)| &h.camera).collect();
         let renderings: Vec<Rendering> = cameras.par_iter().map(|c| s.carved.render(c)).collect();
         let grids: Vec<Grid> = renderings.par_iter().zip(&shapes).map(|(r, h)| h.grid_of(r)).collect();
-        let others = shapes.par_iter().map(|h| grids.iter().map(|g| h.misfit(g, [0, 0])).collect()).collect();
+        let others = shapes.par_iter().map(|h| grids.iter().map(|g| h.misfit(g)).collect()).collect();
         let inner = shapes.par_iter().zip(&renderings).map(|(h, r)| inner_misfit(h.image, r)).collect();
         let shifts = shapes.par_iter().zip(&grids).map(|(h, g)| h.best_shift(g)).collect();
         Some(Self { carved: &s.carved, cameras, shapes, others, inner, shifts })
@@ -354,26 +354,48 @@ impl<'a> Shape<'a> {
         Grid::of(size, self.stride, MAX_SHIFT, |i| rendering[i].map_or([0; 4], |[r, g, b]| [r, g, b, THERE]))
     }
 
-    /// The misfit of the image and a rendering moved by `shift` grid pixels, [`MAX_SHIFT`] at most.
-    fn misfit(&self, rendering: &Grid, [dx, dy]: [isize; 2]) -> f64 {
+    /// The misfit of the image and a rendering.
+    fn misfit(&self, rendering: &Grid) -> f64 {
+        self.share(self.sum(rendering, [0, 0], u64::MAX))
+    }
+
+    /// The misfit whose sum over all pixels this is.
+    fn share(&self, sum: u64) -> f64 {
+        sum as f64 / (f64::from(ALL) * self.area)
+    }
+
+    /// The misfit of the image and a rendering moved by some grid pixels, [`MAX_SHIFT`] at most, summed over all pixels; where
+    /// the sum reaches `most`, over as many rows as that takes. The rows in the middle, where something is, come first.
+    fn sum(&self, rendering: &Grid, [dx, dy]: [isize; 2], most: u64) -> u64 {
         let Grid { width, height, .. } = self.grid;
         let row = width + 2 * MAX_SHIFT;
         let (top, left) = (MAX_SHIFT.wrapping_add_signed(-dy), MAX_SHIFT.wrapping_add_signed(-dx));
-        let mut sum = 0u64;
-        for (y, own) in (0..height).zip(self.grid.pixels.chunks_exact(width)) {
+        let mut total = 0u64;
+        for k in 0..height {
+            let y = if k % 2 == 0 { height / 2 + k / 2 } else { height / 2 - k.div_ceil(2) };
+            let own = &self.grid.pixels[y * width..][..width];
             let other = &rendering.pixels[(top + y) * row + left..][..width];
-            sum += u64::from(own.iter().zip(other).map(|(p, c)| misfit(*p, *c)).sum::<u32>());
+            // A row cannot overflow; sums that check it are not vectorised.
+            total += u64::from(own.iter().zip(other).fold(0u32, |sum, (p, c)| sum.wrapping_add(misfit(*p, *c))));
+            if total >= most {
+                break;
+            }
         }
-        sum as f64 / (f64::from(ALL) * self.area)
+        total
     }
 
     /// Most that a shift of the rendering gains, and the shift, pixels of the image.
     fn best_shift(&self, rendering: &Grid) -> (f64, [isize; 2]) {
-        let now = self.misfit(rendering, [0, 0]);
+        let now = self.sum(rendering, [0, 0], u64::MAX);
         let most = MAX_SHIFT.cast_signed();
-        let shifts = (-most..=most).flat_map(|y| (-most..=most).map(move |x| [x, y]));
-        let gains = shifts.map(|s| (now - self.misfit(rendering, s), s.map(|d| d * self.stride.cast_signed())));
-        gains.fold((0.0, [0, 0]), |a, b| if b.0 > a.0 { b } else { a })
+        let mut best = (now, [0, 0]);
+        for shift in (-most..=most).flat_map(|y| (-most..=most).map(move |x| [x, y])) {
+            let sum = self.sum(rendering, shift, best.0);
+            if sum < best.0 {
+                best = (sum, shift);
+            }
+        }
+        (self.share(now) - self.share(best.0), best.1.map(|d| d * self.stride.cast_signed()))
     }
 }
 
@@ -387,7 +409,8 @@ fn misfit(p: [u8; 4], c: [u8; 4]) -> u32 {
     let color = |k: usize| u32::from(p[k].abs_diff(c[k]) & inside & covered);
     let [missing, outside] = [inside & !covered, !inside & covered].map(u32::from);
     let there = u32::from(THERE);
-    4 * (color(0) + color(1) + color(2)) + ALL / there * missing + ALL / 4 / there * outside
+    let colors = color(0).wrapping_add(color(1)).wrapping_add(color(2)).wrapping_mul(4);
+    colors.wrapping_add(missing.wrapping_mul(ALL / there)).wrapping_add(outside.wrapping_mul(ALL / 4 / there))
 }
 
 /// The misfit over the silhouette alone, of all its pixels; their mean.

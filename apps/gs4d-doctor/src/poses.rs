@@ -85,14 +85,14 @@ pub(super) fn check(
     findings.extend(doubt);
     findings.extend(singles.finding(&flagged));
     findings.push(singles.power(&matches));
-    findings.extend(axes(&matches, silhouettes));
+    findings.extend(axes(data, &matches, silhouettes));
     shown.extend(matches.figure(None, small_images));
     (findings, shown)
 }
 
 /// A note where camera axes of the other convention would not be told from right ones.
-fn axes(matches: &Matches<'_>, silhouettes: Option<&Silhouettes>) -> Option<Finding> {
-    if matches.tells_axes() || silhouettes.is_some_and(Silhouettes::tells_axes) {
+fn axes(data: &Dataset, matches: &Matches<'_>, silhouettes: Option<&Silhouettes>) -> Option<Finding> {
+    if matches.tells_axes() || silhouettes.is_some_and(|s| s.tells_axes(data)) {
         return None;
     }
     let what = "whether camera axes are those of the convention that the layout has cannot be told from these images: too few \

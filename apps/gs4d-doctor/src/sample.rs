@@ -51,15 +51,13 @@ impl Sample {
 mod tests {
     use super::*;
     use gs_core::cast;
-    use gs_synth::{SynthOptions, write};
+    use gs_synth::{SynthOptions, generate};
     use std::collections::BTreeMap;
 
     #[test]
     fn every_camera_and_all_times_are_in_the_sample() {
-        let dir = tempfile::tempdir().unwrap();
         let rig = SynthOptions { size: 16, cameras: 8, moments: 60, ..Default::default() };
-        write(dir.path(), "falling", &rig, false).unwrap();
-        let data = Dataset::open(dir.path(), &Default::default()).unwrap();
+        let data = generate("falling", &rig).unwrap().dataset;
         let sample = Sample::of(&data, false);
         assert!(sample.total > MAX_IMAGES && sample.views.len() == MAX_IMAGES && sample.finding().is_some());
         assert_eq!(sample.views, Sample::of(&data, false).views);

@@ -29,8 +29,6 @@ pub(super) struct Silhouettes {
     fits: Vec<f64>,
     /// The reading of the poses that covers more, if there is one, and the share it covers.
     better: Option<(PoseReading, f64)>,
-    /// The mean share that would be covered if the camera axes were those of the other convention.
-    flipped: f64,
 }
 
 /// Carves the training views; none where they have neither alpha nor masks.
@@ -53,18 +51,21 @@ pub(super) fn check(data: &Dataset) -> Option<Silhouettes> {
     }
     let fits = covered(&carved);
     let now = mean(&fits);
-    let share = |s: PoseReading| mean(&covered(&carved.under(data, AGREEMENT, |c| s.camera(c))));
     let mut better: Option<(PoseReading, f64)> = None;
     if now < GOOD_SHARE {
-        for (s, other) in PoseReading::ALL.map(|s| (s, share(s))) {
+        for (s, other) in PoseReading::ALL.map(|s| (s, share_under(&carved, data, s))) {
             if other > better.map_or(now.max(BAD_SHARE), |b| b.1) {
                 better = Some((s, other));
             }
         }
     }
     let better = better.filter(|b| b.1 > now + MIN_READING_GAIN);
-    let flipped = share(PoseReading::Flipped);
-    Some(Silhouettes { carved, shapes, fits, better, flipped })
+    Some(Silhouettes { carved, shapes, fits, better })
+}
+
+/// The mean covered share of the silhouettes if the poses were read in another way.
+fn share_under(carved: &Carved, data: &Dataset, reading: PoseReading) -> f64 {
+    mean(&covered(&carved.under(data, AGREEMENT, |c| reading.camera(c))))
 }
 
 /// The share of each silhouette that the projected hull covers; 1 for an empty one.
@@ -99,10 +100,14 @@ impl Silhouettes {
         vec![Finding::new("poses", "poses.silhouettes", verdict, what).fix(fix)]
     }
 
-    /// Whether camera axes of the other convention would be told as such, the poses being right.
-    pub(super) fn tells_axes(&self) -> bool {
+    /// Whether camera axes of the other convention would be told as such, the poses of `data` being right.
+    pub(super) fn tells_axes(&self, data: &Dataset) -> bool {
         let right = mean(&self.fits);
-        self.flipped < GOOD_SHARE && right > BAD_SHARE && right > self.flipped + MIN_READING_GAIN
+        if right <= BAD_SHARE {
+            return false;
+        }
+        let flipped = share_under(&self.carved, data, PoseReading::Flipped);
+        flipped < GOOD_SHARE && right > flipped + MIN_READING_GAIN
     }
 }
 

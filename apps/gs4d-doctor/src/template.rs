@@ -14,7 +14,7 @@ use gs_texel::surface::NONE;
 use gs_texel::zbuffer::face_map;
 use rayon::prelude::*;
 use serde::Serialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// Most frames that are compared, spread evenly.
@@ -197,20 +197,14 @@ impl<'a> Check<'a> {
     fn new(scene: &'a AvatarScene, rows: &[usize], shown: Vec<Shown>) -> Self {
         let joints = dominant(scene);
         let surfaces: Vec<Vec<Vec3>> = scene.frames.iter().map(|f| scene.posed(f)).collect();
-        let both = |s: &Shown| {
-            let drawn = draw(scene, &surfaces[rows[s.frame]], &joints, &s.camera);
-            let apart = apart(s, &drawn);
-            (drawn, apart)
+        let of_camera = |views: &&[Shown]| {
+            let draw = |row: usize| draw(scene, &surfaces[row], &joints, &views[0].camera);
+            compare(views, rows, surfaces.len(), draw)
         };
-        let (drawn, apart) = shown.par_iter().map(both).unzip();
-        let shift = |s: &Shown| {
-            let at = |by| {
-                let surface = rows[s.frame].checked_add_signed(by).and_then(|row| surfaces.get(row));
-                surface.map_or(f64::INFINITY, |v| self::apart(s, &draw(scene, v, &joints, &s.camera)).mean)
-            };
-            SHIFTS.map(at).collect()
-        };
-        let shifted = shown.par_iter().map(shift).collect();
+        let same = |a: &Shown, b: &Shown| a.camera_id == b.camera_id && a.camera == b.camera;
+        let cameras: Vec<&[Shown]> = shown.chunk_by(same).collect();
+        let all: Vec<Compared> = cameras.par_iter().flat_map_iter(of_camera).collect();
+        let (drawn, (apart, shifted)): (Vec<_>, (Vec<_>, Vec<_>)) = all.into_iter().unzip();
         let rest = &scene.character.template.vertices;
         let (low, high) = rest.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
         let size = f64::from((high - low).max_element()).max(1e-6);
@@ -471,6 +465,34 @@ fn draw(scene: &AvatarScene, surface: &[Vec3], joints: &[u32], camera: &Camera) 
     let outline = if depth > NEAR { outline(&covered, width) } else { Vec::new() };
     let outline = outline.into_iter().map(|p| (p, joint(&p))).collect();
     Drawn { covered, outline, pixel: depth.max(NEAR) / camera.fx }
+}
+
+/// Of a view: the template with the pose of its own frame, how far apart they are, and how far with the poses of [`SHIFTS`].
+type Compared = (Drawn, (Apart, Vec<f64>));
+
+/// Compares the views of one camera, ascending in their frames, of which there are `count`. `draw` gives the template with the
+/// pose of a frame; it is asked once for each.
+fn compare(views: &[Shown], rows: &[usize], count: usize, draw: impl Fn(usize) -> Drawn + Sync) -> Vec<Compared> {
+    let shift = |row: usize, by: isize| row.checked_add_signed(by).filter(|r| *r < count);
+    let own: BTreeSet<usize> = views.iter().map(|s| rows[s.frame]).collect();
+    let all: BTreeSet<usize> = own.iter().flat_map(|&row| SHIFTS.filter_map(move |by| shift(row, by))).collect();
+    let pose = |row: usize| {
+        let drawn = draw(row);
+        // Figures show the own frame alone.
+        let covered = if own.contains(&row) { drawn.covered } else { Vec::new() };
+        (row, Drawn { covered, ..drawn })
+    };
+    let poses: BTreeMap<usize, Drawn> = all.into_par_iter().map(pose).collect();
+    let hold = |s: &Shown| {
+        let row = rows[s.frame];
+        let far = |row: usize| apart(s, &poses[&row]);
+        let own = far(row);
+        let at = |by: isize| if by == 0 { own.mean } else { shift(row, by).map_or(f64::INFINITY, |r| far(r).mean) };
+        let shifted = SHIFTS.map(at).collect::<Vec<f64>>();
+        (own, shifted)
+    };
+    let held: Vec<(Apart, Vec<f64>)> = views.par_iter().map(hold).collect();
+    poses.into_iter().filter(|(row, _)| own.contains(row)).map(|(_, drawn)| drawn).zip(held).collect()
 }
 
 /// How far the outlines of image and template are apart. A template that is not in the frame is as far as the frame is wide.

@@ -147,7 +147,8 @@ impl ParticleSource for Cast {
     }
 }
 
-/// Noisy twists, the number of bodies known or not: labels are those of the bodies, and so are masks of views at every time.
+/// Noisy twists, the number of bodies known or not: labels are those of the bodies. Where it is not known, so are masks of views at
+/// every time.
 #[test]
 fn bodies_are_found_from_their_twists() {
     for (scene, bodies) in [("projectile", 2), ("hinge", 4), ("balls", 5)] {
@@ -158,13 +159,13 @@ fn bodies_are_found_from_their_twists() {
             let distances = &labels.distances;
             assert_eq!((labels.k, labels.source), (bodies, Source::Twists), "{scene} {count:?}: {distances:?}");
             let splats = cast.score_of_splats(&labels);
+            println!("{scene}, {count:?}: splats mIoU {:.4}", splats.miou);
             assert!(splats.f1 == 1.0 && splats.miou > 0.95, "{scene} {count:?}: {splats:?}");
-            let masks = cast.study(&labels);
-            println!(
-                "{scene}, {count:?}: splats mIoU {:.4}; views F1 {:.4}, mIoU {:.4}",
-                splats.miou, masks.f1, masks.miou
-            );
-            assert!(masks.f1 == 1.0 && masks.miou > 0.95, "{scene} {count:?}: {masks:?}");
+            if matches!(count, Count::Auto) {
+                let masks = cast.study(&labels);
+                println!("{scene}, {count:?}: views F1 {:.4}, mIoU {:.4}", masks.f1, masks.miou);
+                assert!(masks.f1 == 1.0 && masks.miou > 0.95, "{scene} {count:?}: {masks:?}");
+            }
         }
     }
 }
@@ -293,7 +294,8 @@ fn the_motion_of_a_scene_is_that_of_its_material_points() {
 /// Labels at the first moment see the same paths as labels at the last.
 #[test]
 fn bodies_are_found_at_the_first_moment() {
-    let cast = Cast::new("projectile", None);
+    let mut cast = Cast::new("projectile", None);
+    cast.points = cast.points.into_iter().step_by(8).collect();
     for count in [Count::Fixed(2), Count::Auto] {
         let first = cast.segment(&Options { count, at: Some(0.0), ..Options::default() });
         assert!(first.resting.contains(&true) && first.resting.contains(&false), "{count:?}");

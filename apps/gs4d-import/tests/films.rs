@@ -179,8 +179,8 @@ fn lens_error(found: &View, camera: &Camera, lens: &Lens) -> f64 {
     grid.map(angle).fold(0.0, f64::max)
 }
 
-/// Twenty frames of a camera that moves, through a lens.
-fn film_through(model: CameraModel, lens: &Lens) {
+/// Twenty frames of a camera that moves, through a lens. `fov` is what the import is told, degrees.
+fn film_through(model: CameraModel, lens: &Lens, fov: Option<f64>) {
     if !programs(model.name()) {
         return;
     }
@@ -189,7 +189,7 @@ fn film_through(model: CameraModel, lens: &Lens) {
     let frame = |k: usize| through(lens, &path(k), k as f64 / f64::from(FPS));
     let (video, data) = (dir.path().join("walk.mp4"), dir.path().join("data"));
     write_video(&video, &(0..20).into_par_iter().map(frame).collect::<Vec<_>>()).unwrap();
-    let settings = Settings { rig: Some(Rig::Moving), model: Some(model), ..Settings::default() };
+    let settings = Settings { rig: Some(Rig::Moving), model: Some(model), fov, ..Settings::default() };
     assert!(imported(vec![video], &data, &settings).frames >= 18);
     let all = views(&data);
     let number = |v: &View| (v.time.seconds * f64::from(FPS)).round() as usize;
@@ -202,12 +202,21 @@ fn film_through(model: CameraModel, lens: &Lens) {
 #[test]
 #[ignore = "COLMAP takes minutes: cargo test -p gs4d-import --test films -- --ignored --nocapture"]
 fn a_film_through_a_simple_lens() {
-    film_through(CameraModel::SimpleRadial, &Lens { k1: -0.15, ..Lens::default() });
+    film_through(CameraModel::SimpleRadial, &Lens { k1: -0.15, ..Lens::default() }, None);
 }
 
 #[test]
 #[ignore = "COLMAP takes minutes: cargo test -p gs4d-import --test films -- --ignored --nocapture"]
 fn a_film_through_a_lens_of_opencv() {
     let lens = Lens { k1: -0.2, k2: 0.05, p1: 0.004, p2: -0.003, ..Lens::default() };
-    film_through(CameraModel::Opencv, &lens);
+    film_through(CameraModel::Opencv, &lens, None);
+}
+
+/// With the field of view that gives a fisheye without distortion the true focal length.
+#[test]
+#[ignore = "COLMAP takes minutes: cargo test -p gs4d-import --test films -- --ignored --nocapture"]
+fn a_film_through_a_fisheye() {
+    let lens = Lens { fisheye: true, k1: 0.05, k2: -0.01, ..Lens::default() };
+    let fov = 2.0 * 0.45f64.tan();
+    film_through(CameraModel::OpencvFisheye, &lens, Some(fov.to_degrees()));
 }

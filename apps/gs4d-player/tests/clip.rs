@@ -1,4 +1,5 @@
-//! Clips and spans against the scenes they were made from: the bound holds, bytes come back, damage is an error.
+//! Clips and spans against the scenes they were made from: the bound holds, bytes come back, damage is an error. Pages of the guide
+//! against the present player.
 
 use glam::{Quat, Vec3};
 use gs_core::rng::Rng;
@@ -6,6 +7,8 @@ use gs_core::{Camera, Color, Kernel, Splats, rot};
 use gs_raster::{RasterOptions, Workspace, measure, render};
 use gs4d_player::{Clip, Frames, Layer, Page, PlayerError, Spans, Start, Tolerance, read, words};
 use half::f16;
+use std::fs;
+use std::path::Path;
 
 const FRAMES: usize = 24;
 
@@ -343,4 +346,33 @@ fn damaged_pages_are_errors() {
         let _ = read(&String::from_utf8(bytes).unwrap());
     }
     assert!(read(&html[..begin + 5000]).is_err());
+}
+
+/// The pages that the guide shows play as pages do that are written now.
+#[test]
+fn pages_of_the_guide_hold_the_present_player() {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let read_text = |path: &Path| fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    let files = |folder: &str| {
+        let entries = fs::read_dir(here.join(folder)).unwrap();
+        let mut all: Vec<_> = entries.map(|entry| entry.unwrap().path()).collect();
+        all.sort();
+        all
+    };
+    let pages = files("../../docs/guide/pages");
+    assert_eq!(pages.len(), 3, "{pages:?}");
+    for page in &pages {
+        let html = read_text(page);
+        assert!(read(&html).unwrap().len() > 100, "{}", page.display());
+        for part in &files("src/page") {
+            let source = read_text(part);
+            let present = match part.extension().is_some_and(|e| e == "html") {
+                // But for the lines that the page fills in.
+                true => source.lines().filter(|line| !line.contains('{')).all(|line| html.contains(line)),
+                false => html.contains(&source),
+            };
+            let (page, part) = (page.display(), part.display());
+            assert!(present, "{page} has another {part}: export it again, as docs/guide/player.md says");
+        }
+    }
 }

@@ -4,7 +4,8 @@
 //! the seeds. A table of trainings names their presets with a digest of their settings, and `docs/presets/METHOD-PRESET.toml` keeps them
 //! (the output of `gs4d config METHOD --preset PRESET`, comments may be left out). [`check`] compares them with the presets of this program. A setting that
 //! has another value now, or is gone, makes the table old. A setting that came later does not: it is added with a default that changes nothing.
-//! A table that is known to be old names the preset in `older_than`, and its document the commit.
+//! A table that is known to be old names the preset in `older_than`, and its document the commit. Where the document says so, an entry has the kind of
+//! scenes and how its cells show the spread of the seeds.
 
 use gs_core::io::{IoError, Limits, read_text};
 use gs_train::registry::Registry;
@@ -41,16 +42,51 @@ pub struct Listed {
     /// `METHOD:PRESET` that the trainings had and that has changed since.
     #[serde(default)]
     pub older_than: Vec<String>,
+    /// How the cells show the spread of the seeds; absent where they do not, or where the rows differ.
+    #[serde(default)]
+    pub spread: Option<Spread>,
+    /// Which scenes its settings met before; absent where the document does not say, or where the table has both kinds.
+    #[serde(default)]
+    pub scenes: Option<Scenes>,
 }
 
-/// Words of commands that train.
-const TRAININGS: [&str; 6] = [
+/// How cells show the spread of the seeds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Spread {
+    /// A figure for each seed.
+    #[serde(rename = "every seed")]
+    EverySeed,
+    /// ± one standard deviation.
+    #[serde(rename = "standard deviation")]
+    Deviation,
+    /// ± half of an interval of 95 %.
+    #[serde(rename = "95 %")]
+    Interval,
+}
+
+/// Which scenes the settings of a table met before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Scenes {
+    /// Some were chosen on these.
+    #[serde(rename = "tuning")]
+    Tuning,
+    /// None was chosen on these.
+    #[serde(rename = "held out")]
+    HeldOut,
+}
+
+/// Words of commands that train or use a trained method. Crates below those of the methods have no presets.
+const TRAININGS: [&str; 10] = [
     "gs4d train ",
     "gs4d compare ",
     "gs4d continual ",
     "gs4d reproduce ",
+    "gs4d export ",
+    "gs4d inspect ",
     "--example train_dut ",
     "--example scaling ",
+    "-p gs-method-",
+    "-p gs-train --test train ",
 ];
 
 impl Listed {
@@ -64,6 +100,9 @@ impl Listed {
         let trains = TRAININGS.iter().any(|words| self.command.contains(words));
         if trains && self.presets.is_empty() && self.older_than.is_empty() {
             faults.push(Finding::NoPreset { table: table.clone() });
+        }
+        if self.spread.is_some() && self.seeds.len() < 2 {
+            faults.push(Finding::NoSpread { table: table.clone() });
         }
         let commit = self.commit.clone().unwrap_or_default();
         if !self.older_than.is_empty() && !document.contains(&commit) {
@@ -121,6 +160,11 @@ pub enum Finding {
         /// `FILE: HEAD`.
         table: String,
     },
+    /// A table with a spread of fewer than two seeds.
+    NoSpread {
+        /// `FILE: HEAD`.
+        table: String,
+    },
     /// The document of a table that is older than a preset does not name the commit.
     Unsaid {
         /// `FILE: HEAD`.
@@ -148,6 +192,7 @@ impl fmt::Display for Finding {
             }
             Self::NoCommit { table } => write!(f, "{table}: no commit, and not marked as exact"),
             Self::NoPreset { table } => write!(f, "{table}: trainings without a preset"),
+            Self::NoSpread { table } => write!(f, "{table}: a spread of fewer than two seeds"),
             Self::Unsaid { table, commit } => {
                 write!(f, "{table}: older than a preset, and the document does not name its commit {commit}")
             }
@@ -258,14 +303,25 @@ fn cells(line: &str) -> Vec<String> {
 }
 
 impl Found {
-    /// Whether most rows hold a cell that begins with a figure, beside the first.
+    /// Whether most rows hold a cell with a figure, beside the first.
     fn holds_figures(&self) -> bool {
-        let figure = |c: &String| {
-            c.trim_start_matches(['+', '−', '-', '±', '*', '<', ' ']).starts_with(|c: char| c.is_ascii_digit())
-        };
-        let with = self.rows.iter().filter(|r| r.iter().skip(1).any(figure)).count();
+        let with = self.rows.iter().filter(|r| r.iter().skip(1).any(|c| holds_figure(c))).count();
         2 * with > self.rows.len()
     }
+}
+
+/// Whether a cell holds a figure, anywhere but in code.
+fn holds_figure(cell: &str) -> bool {
+    cell.split('`').step_by(2).flat_map(str::split_whitespace).any(is_figure)
+}
+
+/// Whether a word is a number with or without a sign and a symbol. A name (`3D`, `8th`) is none, a year neither.
+fn is_figure(word: &str) -> bool {
+    let word = word.trim_start_matches(['+', '−', '-', '±', '*', '<', '(', '≤', '≥', '≈']);
+    let bare = word.trim_end_matches([',', '.', ';', ':', ')']);
+    let year = bare.parse::<u64>().is_ok_and(|y| (1900..2100).contains(&y));
+    let letter = |c: char| c.is_ascii_alphabetic() && c != 'e';
+    word.starts_with(|c: char| c.is_ascii_digit()) && !word.contains(letter) && !year
 }
 
 /// Kept presets, read once.
@@ -360,6 +416,16 @@ mod tests {
     }
 
     #[test]
+    fn a_figure_may_stand_anywhere_in_a_cell() {
+        for cell in ["**39.1**", "−0.10 ± 0.26", "at most 72 more files", "its ratio within 3 %", "3e-6 of `f64`"] {
+            assert!(holds_figure(cell), "{cell}");
+        }
+        for cell in ["`--size 128`", "Kerbl et al. 2023", "every 8th", "4K", "[below](#two-3)", "–", ""] {
+            assert!(!holds_figure(cell), "{cell}");
+        }
+    }
+
+    #[test]
     fn a_table_of_figures_must_be_listed_and_a_listed_one_must_be_there() {
         let root = repository("table = []");
         let Finding::Unlisted { place, .. } = &findings(root.path())[0] else { panic!("not unlisted") };
@@ -413,12 +479,31 @@ mod tests {
 
     #[test]
     fn trainings_name_their_presets() {
-        for command in
-            ["gs4d train DATA -m fags", "gs4d reproduce fags dnerf -o OUT", "cargo run --example train_dut -- tiny"]
-        {
+        for command in [
+            "gs4d train DATA -m fags",
+            "gs4d reproduce fags dnerf -o OUT",
+            "cargo run --example train_dut -- tiny",
+            "cargo bench -p gs-method-anchor",
+        ] {
             let list = one(&format!("command = \"{command}\"\ncommit = \"abc1234\""));
             assert!(matches!(findings(repository(&list).path())[..], [Finding::NoPreset { .. }]), "{command}");
         }
+    }
+
+    #[test]
+    fn a_spread_is_one_of_several_seeds_and_scenes_are_of_two_kinds() {
+        let checked = |lines: &str| {
+            let list = one(&format!("command = \"cargo bench\"\ncommit = \"abc1234\"\n{lines}"));
+            check(repository(&list).path(), gs_methods::registry())
+        };
+        let table = "docs/a.md: | method |".to_owned();
+        let single = checked("seeds = [0]\nspread = \"every seed\"").unwrap();
+        assert_eq!(single.findings, [Finding::NoSpread { table }]);
+        let several = checked("seeds = [0, 1]\nspread = \"standard deviation\"\nscenes = \"held out\"").unwrap();
+        assert_eq!(several.findings, []);
+        let listed = &several.tables[0].0;
+        assert_eq!((listed.spread, listed.scenes), (Some(Spread::Deviation), Some(Scenes::HeldOut)));
+        assert!(checked("scenes = \"both\"").is_err(), "a kind that is none");
     }
 
     #[test]

@@ -123,13 +123,13 @@ impl Reproduction {
     /// Chooses the scenes; nothing is written.
     ///
     /// # Errors
-    /// A table without data; a scene or an entry that is unknown or absent.
+    /// A table of another command; a scene or an entry that is unknown or absent.
     pub fn new(mut table: Table, conditions: Conditions) -> Result<Self, ReproduceError> {
-        keep_entries(&mut table, &conditions.entries)?;
-        let Some(data) = &table.data else {
-            return Err(ReproduceError::Command(table.command.unwrap_or_default()));
+        let set = match (&table.data, &table.command) {
+            (Some(data), None) => DataSet::find(data)?,
+            (_, command) => return Err(ReproduceError::Command(command.clone().unwrap_or_default())),
         };
-        let set = DataSet::find(data)?;
+        keep_entries(&mut table, &conditions.entries)?;
         let asked = &conditions.scenes;
         if let Some(k) = (0..asked.len()).find(|&k| asked[..k].contains(&asked[k])) {
             return Err(ReproduceError::Twice { name: asked[k].clone() });
@@ -366,7 +366,11 @@ mod tests {
     #[test]
     fn a_table_of_another_command_names_it() {
         let root = tempfile::tempdir().unwrap();
-        let error = Reproduction::new(Table::find("dut", "runtime").unwrap(), conditions(root.path())).unwrap_err();
-        assert!(error.to_string().contains("gs4d bench RUN"), "{error}");
+        for (paper, table, command) in
+            [("dut", "runtime", "gs4d bench RUN"), ("trace", "continual", "gs4d continual DATA")]
+        {
+            let error = Reproduction::new(Table::find(paper, table).unwrap(), conditions(root.path())).unwrap_err();
+            assert!(error.to_string().contains(command), "{error}");
+        }
     }
 }

@@ -165,7 +165,7 @@ pub(crate) mod tests {
     /// Files by which the reader of a set knows a scene, and what the hint calls them.
     fn files(set: &str) -> &'static [(&'static str, &'static str)] {
         match set {
-            "dnerf" => &[("transforms_train.json", "transforms_{train,val,test}.json")],
+            "dnerf" | "particlenerf" => &[("transforms_train.json", "transforms_{train,val,test}.json")],
             "hypernerf" | "iphone" => &[
                 ("dataset.json", "{scene,metadata,dataset}.json"),
                 ("metadata.json", "{scene,metadata,dataset}.json"),

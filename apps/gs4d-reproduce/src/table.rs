@@ -19,6 +19,8 @@ const FILES: &[(&str, &str)] = &[
     ("modec-hypernerf-interp", include_str!("../tables/modec-hypernerf-interp.toml")),
     ("modec-hypernerf-misc", include_str!("../tables/modec-hypernerf-misc.toml")),
     ("modec-hypernerf-vrig", include_str!("../tables/modec-hypernerf-vrig.toml")),
+    ("modec-hypernerf-nerfs", include_str!("../tables/modec-hypernerf-nerfs.toml")),
+    ("modec-stages", include_str!("../tables/modec-stages.toml")),
     ("modec-nvidia", include_str!("../tables/modec-nvidia.toml")),
     ("modec-dnerf", include_str!("../tables/modec-dnerf.toml")),
     ("modec-panoptic", include_str!("../tables/modec-panoptic.toml")),
@@ -34,7 +36,9 @@ const FILES: &[(&str, &str)] = &[
     ("trace-segments-indoor", include_str!("../tables/trace-segments-indoor.toml")),
     ("trace-segments-basketball", include_str!("../tables/trace-segments-basketball.toml")),
     ("trace-continual", include_str!("../tables/trace-continual.toml")),
+    ("trace-continual-panoptic", include_str!("../tables/trace-continual-panoptic.toml")),
     ("dut-runtime", include_str!("../tables/dut-runtime.toml")),
+    ("dut-mocap", include_str!("../tables/dut-mocap.toml")),
 ];
 
 /// A table of a paper.
@@ -51,7 +55,7 @@ pub struct Table {
     pub title: String,
     /// Where it is printed.
     pub source: String,
-    /// Name of the [`DataSet`](crate::DataSet) of its scenes; absent for a table that no training makes.
+    /// Name of the [`DataSet`](crate::DataSet) of its scenes; absent where `command` needs none of the paper's.
     #[serde(default)]
     pub data: Option<String>,
     /// Under which conditions the published figures were measured.
@@ -70,7 +74,7 @@ pub struct Table {
     /// What a reader must know of the published figures.
     #[serde(default)]
     pub remark: Option<String>,
-    /// The command that makes our side of a table without data.
+    /// The command that makes our side of a table that no contest makes.
     #[serde(default)]
     pub command: Option<String>,
     /// How the nightly job runs it; absent where it does not.
@@ -189,8 +193,11 @@ impl Table {
 
     /// Whether entries can be read, figures belong to entries and columns, and what is run has data and known columns.
     fn check(&self) -> Result<(), String> {
-        if self.data.is_some() == self.command.is_some() {
-            return Err("a table has either data or a command".into());
+        if self.data.is_none() && self.command.is_none() {
+            return Err("a table has data or a command".into());
+        }
+        if self.command.is_some() && self.runnable().next().is_some() {
+            return Err("a table of a command has entries to run".into());
         }
         let known = |name: &String| self.entries.iter().any(|e| e.name == *name);
         let figures = self.scenes.iter().flat_map(|s| &s.published).chain(&self.average);
@@ -217,7 +224,7 @@ impl Table {
         if let Some(column) = self.networks.keys().find(|c| !self.columns.contains(c)) {
             return Err(format!("the network of {column} belongs to no column"));
         }
-        for name in self.columns.iter().filter(|_| self.data.is_some()) {
+        for name in self.columns.iter().filter(|_| self.command.is_none()) {
             let column = Column::named(name).ok_or_else(|| format!("no contest has the column {name}"))?;
             match self.networks.get(name) {
                 None if column.is_lpips() => return Err(format!("the column {name} names no network")),
@@ -441,6 +448,14 @@ mod tests {
         let error =
             parsed("columns = [\"psnr\"]\n[[entries]]\nname = \"b, c\"\nrun = \"modec\"").unwrap_err().to_string();
         assert!(error.contains("b, c cannot stand in a list"), "{error}");
+    }
+
+    #[test]
+    fn a_table_of_a_command_has_nothing_to_run() {
+        let error = parsed("columns = [\"rounds\"]\ncommand = \"gs4d continual\"").unwrap_err().to_string();
+        assert!(error.contains("has entries to run"), "{error}");
+        let continual = Table::find("trace", "continual").unwrap();
+        assert_eq!((continual.data.as_deref(), continual.scenes.len()), (Some("particlenerf"), 6));
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Encoding of images.
 
-use gs_core::io::images::write_png8;
-use gs_core::{Image, cast};
+use gs_core::Image;
+use gs_core::io::images::{bytes8, write_png8};
 
 /// JPEG's quality, 1 to 100.
 const QUALITY: u8 = 80;
@@ -20,7 +20,7 @@ pub enum Packing {
 /// # Errors
 /// A message, if the image is too large for the format.
 pub(crate) fn pack(image: &Image, packing: Packing) -> Result<Vec<u8>, String> {
-    let bytes: Vec<u8> = image.data.iter().map(|v| cast::to_u8(v.clamp(0.0, 1.0) * 255.0 + 0.5)).collect();
+    let bytes = bytes8(image);
     let mut out = Vec::new();
     let (width, height) = (image.width, image.height);
     match packing {

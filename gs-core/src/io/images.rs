@@ -269,8 +269,12 @@ pub fn write_png(image: &Image, out: &mut dyn Write) -> std::io::Result<()> {
         let (pixel, channel) = (at / image.channels.max(1), at % image.channels.max(1));
         return Err(invalid(format!("pixel {pixel}, channel {channel} is not finite")));
     }
-    let bytes: Vec<u8> = image.data.iter().map(|v| (v * 255.0).round().clamp(0.0, 255.0) as u8).collect();
-    write_png8(image.width, image.height, image.channels, &bytes, out)
+    write_png8(image.width, image.height, image.channels, &bytes8(image), out)
+}
+
+/// The values of an image, 0 to 1, as bytes: clamped and rounded; what is not a number is 0.
+pub fn bytes8(image: &Image) -> Vec<u8> {
+    image.data.iter().map(|v| (v * 255.0).round().clamp(0.0, 255.0) as u8).collect()
 }
 
 fn invalid(text: String) -> std::io::Error {

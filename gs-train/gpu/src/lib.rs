@@ -44,11 +44,13 @@ mod uniforms;
 use gs_gpu::{Gpu, Renderer};
 use gs_raster::DeviceError;
 use gs_train::device::Device;
+use std::sync::OnceLock;
 pub use steps::Steps;
 
-/// The device of an open GPU: it renders, and makes whole steps of the methods that it can.
+/// The device of an open GPU: it renders, and makes whole steps of the methods that it can. Trainings on it and on its clones share the
+/// kernels of a step.
 pub fn device(gpu: &Gpu) -> Device {
-    let (render, train) = (gpu.clone(), gpu.clone());
+    let (render, train, kernels) = (gpu.clone(), gpu.clone(), OnceLock::new());
     Device::new(gpu.description(), move || Ok(Box::new(Renderer::new(&render))))
-        .with_steps(move || Ok(Box::new(Steps::new(&train).map_err(DeviceError::new)?)))
+        .with_steps(move || Ok(Box::new(Steps::with_kernels(&train, &kernels).map_err(DeviceError::new)?)))
 }

@@ -15,6 +15,7 @@ use gs_raster::DeviceError;
 use gs_train::device::{DeviceLoss, DeviceStep, DeviceSteps};
 use gs_train::method::{Method, MovedCloud};
 use std::ops::Range;
+use std::sync::{Arc, OnceLock};
 
 /// Threads of a workgroup.
 const GROUP: u64 = 256;
@@ -24,7 +25,7 @@ const KEEPS_SIZES: u32 = 4;
 /// Makes whole steps on a GPU.
 pub struct Steps {
     gpu: Gpu,
-    kernels: Kernels,
+    kernels: Arc<Kernels>,
     renderer: Renderer,
     store: Store,
     field: Field,
@@ -63,9 +64,21 @@ impl Steps {
     /// # Errors
     /// The device failed.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
+        Self::with_kernels(gpu, &OnceLock::new())
+    }
+
+    /// Takes the kernels that an earlier call compiled, or compiles them.
+    pub(crate) fn with_kernels(gpu: &Gpu, compiled: &OnceLock<Arc<Kernels>>) -> Result<Self, GpuError> {
         const { assert!(Uniforms::fit(field::UNIFORMS + 16), "the uniforms of a step fit") };
-        let kernels = Kernels::new(gpu);
-        gpu.check()?;
+        let kernels = match compiled.get() {
+            Some(kernels) => Arc::clone(kernels),
+            None => {
+                let kernels = Arc::new(Kernels::new(gpu));
+                // Kernels of a device that failed are not kept.
+                gpu.check()?;
+                Arc::clone(compiled.get_or_init(|| kernels))
+            }
+        };
         Ok(Self {
             kernels,
             renderer: Renderer::new(gpu),

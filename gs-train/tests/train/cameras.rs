@@ -5,10 +5,11 @@ use gs_core::{Camera, Rng};
 use gs_data::{Dataset, ImageCache, Split};
 use gs_physics::kabsch::kabsch;
 use gs_synth::SynthOptions;
+use gs_synth::avatar::{self, AvatarOptions};
 use gs_train::evaluate::{EvalReport, evaluate};
 use gs_train::registry::overlay;
 use gs_train::saved;
-use gs_train::testkit::{on_ranks, run, start, thread_difference, timeless};
+use gs_train::testkit::{SHORT_FILM, on_ranks, run, start, thread_difference, timeless};
 use gs_train::trainer::Trainer;
 use std::sync::Arc;
 
@@ -151,6 +152,31 @@ fn corrections_are_the_same_bits_for_any_threads_and_ranks_and_after_a_resume() 
             });
             assert!(ended == end, "{method}: {ranks} ranks");
         }
+    }
+}
+
+/// Of clouds, anchors and particles in a first stage, of a filmed person in all of them.
+#[test]
+fn every_method_learns_corrections() {
+    let registry = gs_methods::registry();
+    let balls = scene("balls", 32, 7, 0);
+    let (template, rings, points) = ("builtin:cylinder".into(), 1, 4000);
+    let options = AvatarOptions { template, size: 32, frames: 2, rings, points, ..AvatarOptions::default() };
+    let film = Arc::new(avatar::generate(&options).expect("film"));
+    for entry in registry {
+        let (data, config) = if entry.needs_avatar {
+            (&film, gs_train::testkit::config(registry, entry.name, "tiny", &[SHORT_FILM, REFINE]))
+        } else {
+            (&balls, gs_train::testkit::short(registry, entry.name, &[REFINE]))
+        };
+        let mut trainer = start(registry, data, entry.name, &config, 3);
+        // The images of a film count in its last stage.
+        let steps = if entry.needs_avatar { trainer.steps() } else { 10 };
+        run(&mut trainer, steps);
+        let state = trainer.state();
+        let turns = state.tensor("cameras.turn").expect("kept");
+        let found = turns.iter().all(|v| v.is_finite()) && turns.iter().any(|v| *v != 0.0);
+        assert!(found, "{}: {turns:?}", entry.name);
     }
 }
 

@@ -86,7 +86,7 @@ fn compare(scene: &str, variant: u64, steps: u32, seed: u64) -> [Outcome; 3] {
 
 #[test]
 fn clocks_that_are_off_are_found_again() {
-    let [right, off, refined] = compare("sheet", 0, 900, 0);
+    let [right, off, refined] = compare("sheet", 0, 600, 0);
     let psnr = |o: &Outcome| o.scores.mean.psnr.expect("finite");
     assert!(refined.error < 0.5 * off.error, "{} {}", refined.error, off.error);
     assert!(psnr(&refined) > psnr(&off) + 0.5 * (psnr(&right) - psnr(&off)), "half of what was lost is back");

@@ -22,7 +22,7 @@ fn a_static_scene_is_learnt() {
 fn motion_is_learnt() {
     let data = scene("sheet", 48, 60);
     let scored = |method: &str| {
-        let mut trainer = trainer(&data, method, "");
+        let mut trainer = trainer(&data, method, "density.max_splats = 700");
         let steps = trainer.steps();
         run(&mut trainer, steps);
         psnr(&trainer, &data)

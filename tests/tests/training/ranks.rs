@@ -48,9 +48,7 @@ fn any_number_of_ranks_gives_the_same_bits() {
     for (name, data, config) in runs() {
         let start = || gs_train::testkit::start(gs_methods::registry(), &data, name, &config, 3);
         let one = reached(&data, start(), 1, STEPS);
-        for ranks in [3, 4] {
-            assert_eq!(difference(&one, &reached(&data, start(), ranks, STEPS)), None, "{name} on {ranks} ranks");
-        }
+        assert_eq!(difference(&one, &reached(&data, start(), 4, STEPS)), None, "{name} on four ranks");
         let resume = |state: &Checkpoint| {
             Trainer::resume(gs_methods::registry(), data.clone(), state, None, 1 << 20).expect("resume")
         };

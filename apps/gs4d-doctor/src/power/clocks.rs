@@ -92,7 +92,7 @@ impl Table {
         let camera = cameras / 3 + 1;
         let before = examined(&delayed(whole, camera, 0));
         for lag in [0, -4, -2, 2, 4] {
-            let found = examined(&delayed(whole, camera, lag));
+            let found = if lag == 0 { before.clone() } else { examined(&delayed(whole, camera, lag)) };
             let late: Vec<&String> = found.iter().filter(|f| f.code == "time.late").flat_map(|f| &f.places).collect();
             let right = |p: &&&String| {
                 lag != 0 && p.starts_with(&format!("camera {camera} (")) && p.ends_with(&format!(" {lag:+} moments"))
@@ -123,7 +123,7 @@ impl Table {
 #[test]
 fn late_cameras_are_found_where_it_is_said_and_no_others() {
     let mut table = Table::default();
-    let clip = Clip { scene: "waves", size: 200, cameras: 7, moments: 21, seed: 307, spoilt: Spoilt::Opaque };
+    let clip = Clip { scene: "waves", size: 128, cameras: 7, moments: 21, seed: 307, spoilt: Spoilt::Opaque };
     table.add("waves", &clip.data());
     let clip = Clip { scene: "sheet", size: 64, cameras: 3, moments: 20, seed: 5, spoilt: Spoilt::Not };
     table.add("sheet", &clip.data());

@@ -3,6 +3,7 @@
 use glam::DMat4;
 use gs_core::Image;
 use gs_core::io::images::{load_image, save_png};
+use gs_data::{DataOptions, Dataset, StartFrom, write_start};
 use gs_synth::{self as synth, SynthOptions};
 use gs4d_doctor::{CheckOptions, Checkup, examine};
 use serde_json::{Value, json};
@@ -13,7 +14,7 @@ use std::sync::OnceLock;
 pub struct Folder(tempfile::TempDir);
 
 impl Folder {
-    /// A copy of a scene made once.
+    /// A copy of a scene made once; `static-opaque`, `balls-opaque` and `falling-opaque` are those scenes without alpha.
     pub fn of(scene: &'static str) -> Self {
         static MADE: OnceLock<tempfile::TempDir> = OnceLock::new();
         let all = MADE.get_or_init(|| {
@@ -25,6 +26,9 @@ impl Folder {
             synth::write(&dir.path().join("falling"), "falling", &rig, false).expect("scene");
             let rig = SynthOptions { size: 64, cameras: 6, moments: 28, ..Default::default() };
             synth::write(&dir.path().join("reach"), "reach", &rig, false).expect("scene");
+            for scene in ["static", "balls", "falling"] {
+                opaque(&dir.path().join(scene), &dir.path().join(format!("{scene}-opaque")));
+            }
             dir
         });
         let copy = tempfile::tempdir().expect("folder");
@@ -97,6 +101,22 @@ pub fn copy_all(from: &Path, to: &Path) {
             copy_all(&entry.path(), &target);
         } else {
             std::fs::copy(entry.path(), target).expect("copy");
+        }
+    }
+}
+
+/// A copy over black, without alpha, with points of its hull: no silhouettes, and nothing else at fault.
+fn opaque(from: &Path, to: &Path) {
+    copy_all(from, to);
+    let start = Dataset::open(from, &DataOptions::default()).expect("data").start(Some(StartFrom::Hull), 500, 0);
+    write_start(to, &start.expect("points"), false).expect("written");
+    for split in ["train", "val", "test"].map(|s| to.join(s)).iter().filter(|s| s.exists()) {
+        let files = std::fs::read_dir(split).expect("list").map(|e| e.expect("entry").path());
+        for file in files.collect::<Vec<_>>() {
+            let image = load_image(&file, &Default::default()).expect("image");
+            let pixels = image.data.as_chunks::<4>().0.iter();
+            let data = pixels.flat_map(|p| [p[0] * p[3], p[1] * p[3], p[2] * p[3]]).collect();
+            save_png(&file, &Image { channels: 3, data, ..image }, true).expect("written");
         }
     }
 }

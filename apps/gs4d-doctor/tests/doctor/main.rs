@@ -49,7 +49,7 @@ fn whole_scenes_have_no_fault() {
 /// What happens between two checks shows in the later one: nothing is kept back to the end.
 #[test]
 fn each_finding_is_told_when_its_check_ends() {
-    let folder = Folder::of("static");
+    let folder = Folder::of("static-opaque");
     let (first, mut told) = (folder.photo(0), Vec::new());
     let checkup = examine_and_tell(folder.dir(), &CheckOptions::default(), &mut |finding| {
         if finding.topic == "layout" {
@@ -63,7 +63,7 @@ fn each_finding_is_told_when_its_check_ends() {
 
 #[test]
 fn of_many_images_a_sample_is_read_unless_all_are_asked_for() {
-    let folder = Folder::of("static");
+    let folder = Folder::of("static-opaque");
     let names: Vec<String> = (0..320).map(|k| format!("./train/many_{k:03}")).collect();
     for name in &names {
         std::fs::copy(folder.photo(0), folder.path(&format!("{name}.png"))).expect("copied");
@@ -78,9 +78,10 @@ fn of_many_images_a_sample_is_read_unless_all_are_asked_for() {
         v["frames"] = names.iter().map(named).collect();
     });
     let read = |all: bool| examine(folder.dir(), &CheckOptions { all, ..CheckOptions::default() });
-    must_note(&read(false), "images.sample");
+    let some = read(false);
+    must_note(&some, "images.sample");
     let twice = |c: &Checkup| c.findings.iter().find(|f| f.code == "images.twice").expect("copies").places.join("");
-    let read_twice = twice(&read(false)).matches(" = ").count();
+    let read_twice = twice(&some).matches(" = ").count();
     assert!(
         (280..300).contains(&read_twice),
         "{read_twice} copies among 300 images, nearly all of them training views"
@@ -92,7 +93,7 @@ fn of_many_images_a_sample_is_read_unless_all_are_asked_for() {
 
 #[test]
 fn files_that_cannot_be_used_are_named() {
-    let folder = Folder::of("static");
+    let folder = Folder::of("static-opaque");
     std::fs::remove_file(folder.photo(3)).expect("removed");
     let cut = std::fs::read(folder.photo(5)).expect("image");
     std::fs::write(folder.photo(5), &cut[..cut.len() / 2]).expect("written");
@@ -103,7 +104,7 @@ fn files_that_cannot_be_used_are_named() {
     let stem = folder.photo(5).file_stem().expect("name").to_string_lossy().into_owned();
     assert!(must_name(&checkup, "data.image", Verdict::Problem).contains(&stem));
 
-    let folder = Folder::of("static");
+    let folder = Folder::of("static-opaque");
     std::fs::write(folder.photo(2), "no image").expect("written");
     must_name(&folder.look(), "data.image", Verdict::Problem);
 }
@@ -133,7 +134,7 @@ fn images_that_show_the_wrong_thing_are_named() {
 
 #[test]
 fn views_that_are_learnt_and_scored_are_named() {
-    let folder = Folder::of("static");
+    let folder = Folder::of("static-opaque");
     let text = std::fs::read_to_string(folder.path("transforms_test.json")).expect("file");
     let test: Value = serde_json::from_str(&text).expect("JSON");
     let frame = test["frames"][1].clone();
@@ -182,14 +183,14 @@ fn single_wrong_poses_are_named() {
     let text = must_name(&folder.look(), "poses.view", Verdict::Problem);
     assert!(text.contains("r_001 (test): shows something that the others do not"), "{text}");
 
-    let folder = Folder::of("static");
+    let folder = Folder::of("static-opaque");
     folder.poses(|k, m| if k == 5 { DMat4::from_translation(DVec3::splat(300.0)) * m } else { m });
     must_name(&folder.look(), "poses.far", Verdict::Problem);
 }
 
 #[test]
 fn scales_that_do_not_fit_are_told() {
-    let folder = Folder::of("static");
+    let folder = Folder::of("static-opaque");
     folder.poses(|_, mut m| {
         m.w_axis = (m.w_axis.truncate() * 1e5).extend(1.0);
         m
@@ -237,10 +238,10 @@ fn lists_that_lead_nowhere_are_named() {
 
 #[test]
 fn times_that_cannot_be_are_named() {
-    let folder = Folder::of("balls");
+    let folder = Folder::of("balls-opaque");
     folder.edit("train", |v| v["frames"][17]["time"] = json!(1.3));
     assert!(must_name(&folder.look(), "data.time", Verdict::Problem).contains("frames[17].time"));
-    let folder = Folder::of("balls");
+    let folder = Folder::of("balls-opaque");
     folder.edit("train", |v| {
         v["frames"]
             .as_array_mut()
@@ -248,15 +249,15 @@ fn times_that_cannot_be_are_named() {
             .retain(|f| !(0.4..0.6).contains(&f["time"].as_f64().expect("time")));
     });
     must_name(&folder.look(), "time.gap", Verdict::Warning);
-    let folder = Folder::of("balls");
+    let folder = Folder::of("balls-opaque");
     folder.edit("train", |v| {
         v["frames"].as_array_mut().expect("frames").retain(|f| f["time"].as_f64().expect("time") < 0.5)
     });
     must_name(&folder.look(), "time.outside", Verdict::Warning);
-    let folder = Folder::of("falling");
+    let folder = Folder::of("falling-opaque");
     folder.edit("train", |v| v["frames"][1]["time"] = v["frames"][0]["time"].clone());
     must_name(&folder.look(), "time.twice", Verdict::Problem);
-    let folder = Folder::of("falling");
+    let folder = Folder::of("falling-opaque");
     let first = folder.photo(0);
     let frames = folder.frames();
     let of_first = (0..frames.len()).filter(|&k| frames[k]["transform_matrix"] == frames[0]["transform_matrix"]);
@@ -278,10 +279,11 @@ fn cameras_that_run_late_are_named() {
         std::fs::write(folder.photo(own[k]), &photos[k - 3]).expect("written");
     }
     let name = folder.photo(own[0]).file_stem().expect("name").to_string_lossy().into_owned();
-    let text = must_name(&folder.look(), "time.late", Verdict::Warning);
+    let checkup = folder.look();
+    let text = must_name(&checkup, "time.late", Verdict::Warning);
     assert!(text.contains(&format!("camera 0 ({name}): +3 moments")), "{text}");
     // The setting it names fixes it, and is written on request.
-    let written = apply(folder.dir(), &folder.look().findings).expect("written");
+    let written = apply(folder.dir(), &checkup.findings).expect("written");
     assert_eq!(written, ["data.time_shift=0:-3"]);
     assert_eq!(codes(&folder.look()), Vec::<&str>::new());
 }
@@ -294,10 +296,11 @@ fn a_run_is_tried() {
         method: "fourdgs".into(),
         preset: "tiny".into(),
         sets: sets.iter().map(|s| (*s).to_owned()).collect(),
-        limit_mib: Some(4096.0),
+        limit_mib: Some(10.0),
     };
     let exam = |o| CheckOptions { cost: Some(o), ..CheckOptions::default() };
     let checkup = examine(folder.dir(), &exam(options(&[])));
+    must_name(&checkup, "memory.limit", Verdict::Problem);
     let cost = checkup.cost.as_ref().expect("cost");
     assert_eq!(cost.stages.len(), 2);
     assert!(cost.splats[0] == 400 && cost.splats[1] == 1500 && cost.seconds[1] >= cost.seconds[0]);
@@ -308,11 +311,11 @@ fn a_run_is_tried() {
             && cost.memory_mib[1] < 400.0,
         "{cost:?}"
     );
-    let anchored = CostOptions { method: "modec".into(), ..options(&[]) };
-    let cost = examine(folder.dir(), &exam(anchored)).cost.expect("cost");
+    let anchored = CostOptions { method: "modec".into(), limit_mib: Some(4096.0), ..options(&[]) };
+    let checkup = examine(folder.dir(), &exam(anchored));
+    assert!(checkup.findings.iter().any(|f| f.topic == "memory" && f.verdict == Verdict::Ok), "{:?}", checkup.findings);
+    let cost = checkup.cost.expect("cost");
     assert!(cost.splats[0] < 3200 && cost.splats[1] == 3200 && cost.memory_mib[1] > cost.memory_mib[0], "{cost:?}");
-    let limit = CostOptions { limit_mib: Some(10.0), ..options(&[]) };
-    must_name(&examine(folder.dir(), &exam(limit)), "memory.limit", Verdict::Problem);
     let broken = examine(folder.dir(), &exam(options(&["no.such=1"])));
     assert!(broken.findings.iter().any(|f| f.code == "cost.begin" && f.what.contains("no.such")));
 }

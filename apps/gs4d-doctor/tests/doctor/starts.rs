@@ -102,7 +102,7 @@ fn a_camera_that_only_turns_is_told() {
 
 #[test]
 fn what_is_assumed_is_told() {
-    let folder = Folder::of("balls");
+    let folder = Folder::of("balls-opaque");
     let exam =
         CheckOptions { data: DataOptions { time_from: TimeFrom::Order, ..Default::default() }, ..Default::default() };
     must_note(&examine(folder.dir(), &exam), "time.assumed");

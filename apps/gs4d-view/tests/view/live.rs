@@ -16,7 +16,7 @@ fn training(data: &Path, run: &Path, method: &str) -> Training {
         method: method.into(),
         preset: "tiny".into(),
         data: Some(data.to_owned()),
-        steps: Some(160),
+        steps: Some(80),
         ..Request::default()
     };
     Training::begin(run, false, settings::resolve(gs_methods::registry(), &request).unwrap()).unwrap()
@@ -61,7 +61,7 @@ fn a_watched_run_moves_on_and_ends_as_an_unwatched_one() {
             // Asks for one picture after the other and keeps the news.
             let looking = scope.spawn(|| {
                 let (mut steps, mut pictures, mut id) = (Vec::new(), 0, 0);
-                while !over.load(Ordering::SeqCst) || steps.last() != Some(&160) {
+                while !over.load(Ordering::SeqCst) || steps.last() != Some(&80) {
                     id += 1;
                     socket.send(Message::Text(picture(id).to_string().into())).unwrap();
                     loop {

@@ -15,8 +15,9 @@ use gs4d_lab::aligned;
 use gs4d_lab::contest::{Contest, Length, Results};
 use gs4d_reproduce::documents::Listed;
 use gs4d_reproduce::{
-    Beside, Conditions, DataSet, Outcome, ReproduceError, Reproduction, Table, TableError, documents, page,
+    Beside, Conditions, DataSet, Outcome, ReproduceError, Reproduction, Scene, Table, TableError, documents, page,
 };
+use gs4d_run::shell_quoted;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -198,10 +199,8 @@ fn list(paper: Option<&str>, roots: &[PathBuf]) -> Result<Answer, Failure> {
     for table in all.iter().filter(|t| paper.is_none_or(|p| t.paper == p)) {
         let set = table.data.as_ref().and_then(|d| sets.get(d));
         let here = set.map_or(0, |set| table.scenes.iter().filter(|s| set.folder(s, roots).is_ok()).count());
-        let scenes = match set {
-            Some(_) => format!("{here} of {}", table.scenes.len()),
-            None => table.command.clone().unwrap_or_default(),
-        };
+        let number = set.map(|_| format!("{here} of {}", table.scenes.len()));
+        let scenes = number.into_iter().chain(table.command.clone()).collect::<Vec<_>>().join(": ");
         rows.push(vec![table.paper.clone(), table.name.clone(), table.title.clone(), table.source.clone(), scenes]);
         values.push(json!({"paper": table.paper, "table": table.name, "title": table.title, "source": table.source,
             "data": set, "scenes": table.scenes.len(), "here": here, "command": table.command}));
@@ -224,13 +223,25 @@ fn shown(table: &Table, roots: &[PathBuf]) -> Result<Answer, Failure> {
             let folder = set.folder(scene, roots).map(|f| f.display().to_string()).map_err(|e| e.to_string());
             let (Ok(said) | Err(said)) = &folder;
             text.push_str(&format!("{:18} {said}\n", scene.name));
-            scenes.push(json!({"scene": scene.name, "folder": folder.as_ref().ok(), "absent": folder.as_ref().err()}));
+            let check = folder.as_ref().ok().map(|folder| doctor(table, scene, folder));
+            check.iter().for_each(|command| text.push_str(&format!("{:18} check it: {command}\n", "")));
+            scenes.push(json!({"scene": scene.name, "folder": folder.as_ref().ok(), "absent": folder.as_ref().err(),
+                "check": check}));
         }
         let names: Vec<&str> = set.generated.iter().map(|g| g.name.as_str()).collect();
         text.push_str(&format!("generated scenes that stand in: {}\n", names.join(", ")));
-        text.push_str("check a scene: gs4d doctor FOLDER; run the table: -o DIR\n");
+        if table.command.is_none() {
+            text.push_str("run the table: -o DIR\n");
+        }
     }
     Ok(Answer::new(text, json!({"table": table.full_name(), "source": table.source, "data": set, "scenes": scenes})))
+}
+
+/// The check of the folder of a scene, with the table's settings of data.
+fn doctor(table: &Table, scene: &Scene, folder: &str) -> String {
+    let sets = table.sets.iter().chain(&scene.sets).filter(|set| set.starts_with("data."));
+    let sets: String = sets.map(|set| format!(" --set {}", shell_quoted(set.clone()))).collect();
+    format!("gs4d doctor {}{sets}", shell_quoted(folder.to_owned()))
 }
 
 /// Which tables of a repository's documents are older than the preset they name.

@@ -105,6 +105,32 @@ fn a_4dgs_file_holds_the_motion_and_is_measured() {
 }
 
 #[test]
+fn a_page_is_read_back_and_measured() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("scene.html");
+    let all = ["export", text(run()), "--times", "0..1:9", "--tolerance", "0.25", "-o", text(&file)];
+    let said = good(&all).out;
+    let json = good(&[&all[..], &["-f", "--json", "--quiet"]].concat()).json();
+    let number = |key: &str| json.pointer(key).and_then(|v| v.as_f64()).unwrap_or_else(|| panic!("{key}: {json}"));
+    assert_eq!((number("/frames"), number("/tolerance")), (9.0, 0.25));
+    assert_eq!(number("/bytes"), fs::metadata(&file).unwrap().len() as f64);
+    let (splats, moving) = (number("/splats"), number("/moving"));
+    assert!(splats > 100.0 && (1.0..=splats).contains(&moving) && number("/keys") >= splats, "{json}");
+    let (before, after, loss) = (number("/psnr/before"), number("/psnr/after"), number("/psnr/loss"));
+    assert!(loss.abs() < 1.0 && (before - after - loss).abs() < 1e-3, "{json}");
+    assert!(number("/psnr/worst/loss") >= loss - 1e-6 && number("/psnr/views") >= 1.0, "{json}");
+    assert_eq!((number("/psnr/from_files"), json["psnr"]["split"].as_str()), (number("/psnr/views"), Some("test")));
+    for part in [
+        format!("{:.2} MB, read back whole: {splats} splats at 9 times, {moving} of them move", number("/bytes") / 1e6),
+        "off by more than 0.25 of its standard deviation".to_owned(),
+        format!("test views (from the file, read back): {before:.3} dB as trained, {after:.3} dB as written"),
+        format!("(mean loss {loss:.3} dB, worst "),
+    ] {
+        assert!(said.contains(&part), "{part}: {said}");
+    }
+}
+
+#[test]
 fn a_file_draws_what_the_run_draws_at_its_time() {
     let dir = tempfile::tempdir().unwrap();
     let (file, camera) = (dir.path().join("half.glb"), dir.path().join("camera.json"));

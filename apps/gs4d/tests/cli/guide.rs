@@ -14,13 +14,15 @@ const SHORTER: [(&str, &str); 6] = [
     ("--seeds", "0"),
 ];
 /// Verbs, and what is added to them.
-const ADDED: [(&str, &[&str]); 6] = [
+const ADDED: [(&str, &[&str]); 8] = [
     ("synth", &["--train-views", "12", "--val-views", "1", "--test-views", "2"]),
+    ("synth", &["--size", "40"]),
     ("train", &["--steps", "30"]),
     ("doctor", &["--preset", "tiny"]),
     ("compare settings", &["--steps", "30"]),
     ("compare methods", &["--steps", "30"]),
     ("resume", &["--quiet"]),
+    ("reproduce fags ablation", &["--scale", "0.2"]),
 ];
 
 pub fn guide() -> PathBuf {

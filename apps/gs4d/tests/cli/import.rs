@@ -9,14 +9,17 @@ use std::path::{Path, PathBuf};
 const FFPROBE: &str = r#"[ "$1" = -version ] && exit 0
 echo '{"streams": [{"width": 64, "height": 48, "avg_frame_rate": "10/1", "duration": "2.0"}]}'"#;
 
-/// Grey frames of a rig at rest on the standard output, or copies of a picture as numbered files.
+/// Grey frames of a rig at rest on the standard output, or numbered files: copies of a mask, the frames of a film, else copies of a
+/// picture.
 const FFMPEG: &str = r#"[ "$1" = -version ] && exit 0
 for last; do :; done
 echo "$*" >> "$HERE/calls"
 case "$last" in
 pipe:1) i=0; while [ $i -lt 20 ]; do cat "$HERE/grey"; i=$((i+1)); done;;
+*.png) i=0; while [ $i -lt 20 ]; do cp "$HERE/mask.png" "$(printf %05d $i).png"; i=$((i+1)); done;;
 *) [ -e "$HERE/broken" ] && { echo "moov atom not found" >&2; exit 1; }
-   i=0; while [ $i -lt 20 ]; do cp "$HERE/picture.jpg" "$(printf %05d $i).jpg"; i=$((i+1)); done;;
+   i=0; while [ $i -lt 20 ]; do to=$(printf %05d $i).jpg; from="$HERE/film/$to"; [ -e "$from" ] || from="$HERE/picture.jpg"
+     cp "$from" "$to"; i=$((i+1)); done;;
 esac"#;
 
 /// Knows the options of two versions, and gives each image a pose.
@@ -40,6 +43,15 @@ mapper|image_registrator) to=import/registered
 model_analyzer) echo "Mean reprojection error: 0.5px";;
 esac"#;
 
+const VIDEOS: [&str; 3] = ["-a.mp4", "b c.mp4", "d%d$x.mp4"];
+
+/// Writes a grey picture of 64×48 pixels.
+fn save(file: &Path, grey: impl Fn(u32) -> f32) {
+    let data = (0..64 * 48).flat_map(|at| [grey(at); 3]).collect();
+    let picture = gs_core::Image { width: 64, height: 48, channels: 3, data };
+    gs_core::io::images::save_png(file, &picture, false).unwrap();
+}
+
 /// A folder with three videos and the stand-ins.
 struct Desk {
     dir: tempfile::TempDir,
@@ -52,16 +64,8 @@ impl Desk {
         let noise = |x: u32, y: u32| (((x * 7919 + y * 104_729).wrapping_mul(2_654_435_761)) >> 24) as u8;
         let grey: Vec<u8> = (0..240 * 180).map(|k: u32| noise(k % 240 / 3, k / 240 / 3)).collect();
         fs::write(desk.at("grey"), grey).unwrap();
-        let picture = gs_core::Image {
-            width: 64,
-            height: 48,
-            channels: 3,
-            data: (0..64 * 48 * 3).map(|k: u32| f32::from(noise(k / 3 % 64, k / 192)) / 255.0).collect(),
-        };
-        gs_core::io::images::save_png(&desk.at("picture.jpg"), &picture, false).unwrap();
-        for name in ["-a.mp4", "b c.mp4", "d%d$x.mp4"] {
-            fs::write(desk.at(name), "a video").unwrap();
-        }
+        save(&desk.at("picture.jpg"), |at| f32::from(noise(at % 64, at / 64)) / 255.0);
+        VIDEOS.iter().for_each(|name| fs::write(desk.at(name), "a video").unwrap());
         desk
     }
 
@@ -85,14 +89,48 @@ impl Desk {
     fn command(&self, more: &[&str]) -> std::process::Command {
         let mut all = vec!["import", "-o", "data"];
         all.extend_from_slice(more);
-        all.extend(["--", "-a.mp4", "b c.mp4", "d%d$x.mp4"]);
-        let mut command = command(&all);
+        all.push("--");
+        all.extend(VIDEOS);
+        self.beside(&all)
+    }
+
+    /// A call in the folder, with the stand-ins.
+    fn beside(&self, all: &[&str]) -> std::process::Command {
+        let mut command = command(all);
         command.current_dir(self.dir.path()).env("PATH", self.at("bin"));
         command
     }
 
+    /// What a call prints.
+    fn said(&self, all: &[&str]) -> String {
+        let call = Call::of(&self.beside(all).output().unwrap());
+        call.out + &call.err
+    }
+
     fn import(&self, more: &[&str]) -> Call {
         Call::of(&self.command(more).output().unwrap())
+    }
+
+    /// Every video shows what a camera that moves sees: frame 7 is blurred, frame 12 shows what frame 11 shows.
+    fn film(&self) {
+        fs::create_dir(self.at("film")).unwrap();
+        let noise = |x: u32, y: u32| gs_core::Rng::new(7, "film", y, x.into()).uniform();
+        for k in 0..20u32 {
+            let from = 2 * if k == 12 { 11 } else { k };
+            // A shutter that is open while the camera turns by five pixels.
+            let open = if k == 7 { 5u16 } else { 1 };
+            save(&self.at(&format!("film/{k:05}.jpg")), |at| {
+                let seen = |turned: u16| noise(at % 64 + from + u32::from(turned), at / 64);
+                (0..open).map(seen).sum::<f32>() / f32::from(open)
+            });
+        }
+    }
+
+    /// The frames of the data set.
+    fn frames(&self) -> Vec<serde_json::Value> {
+        let text = fs::read_to_string(self.at("data/transforms.json")).unwrap();
+        let read: serde_json::Value = serde_json::from_str(&text).unwrap();
+        read["frames"].as_array().unwrap().clone()
     }
 
     /// How often the stand-ins were asked for something.
@@ -182,9 +220,7 @@ fn a_program_that_crashes_is_named_and_is_no_lack_of_overlap() {
 #[test]
 fn several_moving_cameras_are_numbered_and_keep_their_clocks() {
     let numbers = |desk: &Desk| -> Vec<Option<u64>> {
-        let text = fs::read_to_string(desk.at("data/transforms.json")).unwrap();
-        let read: serde_json::Value = serde_json::from_str(&text).unwrap();
-        let mut all: Vec<_> = read["frames"].as_array().unwrap().iter().map(|f| f["camera_index"].as_u64()).collect();
+        let mut all: Vec<_> = desk.frames().iter().map(|f| f["camera_index"].as_u64()).collect();
         all.dedup();
         all
     };
@@ -194,11 +230,60 @@ fn several_moving_cameras_are_numbered_and_keep_their_clocks() {
     assert!(said.contains("clocks of moving cameras") && said.contains("cameras.time=true"), "{said}");
     assert_eq!(numbers(&desk), [Some(0), Some(1), Some(2)]);
     let desk = Desk::new().all();
-    let one = ["import", "-o", "data", "--rig", "moving", "b c.mp4"];
-    let call = command(&one).current_dir(desk.dir.path()).env("PATH", desk.at("bin")).output().unwrap();
-    let said = String::from_utf8_lossy(&call.stderr).into_owned();
-    assert!(!said.contains("clocks of"), "{said}");
+    let said = desk.said(&["import", "-o", "data", "--rig", "moving", "b c.mp4"]);
+    assert!(!said.contains("clocks of moving cameras"), "{said}");
     assert_eq!(numbers(&desk), [None]);
+}
+
+#[cfg(unix)]
+#[test]
+fn blurred_and_repeated_frames_are_named_and_left_out() {
+    let filmed = || {
+        let desk = Desk::new().all();
+        desk.film();
+        desk
+    };
+    let one = ["import", "-o", "data", "--rig", "moving", "b c.mp4"];
+    let desk = filmed();
+    let said = desk.said(&one);
+    assert!(said.contains("1 blurred frames are left out: cam00/00007"), "{said}");
+    assert!(said.contains("1 duplicate frames are left out: cam00/00012"), "{said}");
+    let files: Vec<String> = desk.frames().iter().map(|f| f["file_path"].as_str().unwrap().to_owned()).collect();
+    let kept = (0..20).filter(|k| ![7, 12].contains(k)).map(|k| format!("images/cam00/{k:05}.jpg"));
+    assert!(kept.eq(files.iter().cloned()), "{files:?}");
+    assert!(desk.at("data/images/cam00/00007.jpg").is_file(), "its image stays");
+    let desk = filmed();
+    let said = desk.said(&[&one[..], &["--keep-all"]].concat());
+    assert!(!said.contains("frames are left out"), "{said}");
+    assert_eq!(desk.frames().len(), 20);
+    // Of cameras at rest a moment counts that all of them saw twice.
+    let desk = filmed();
+    let done = desk.import(&[]);
+    let said = done.out + &done.err;
+    assert!(said.contains("3 duplicate frames are left out: cam00/00012, cam01/00012, cam02/00012"), "{said}");
+    assert!(!said.contains("blurred frames"), "{said}");
+    assert_eq!(desk.frames().len(), 57);
+}
+
+#[cfg(unix)]
+#[test]
+fn videos_of_masks_are_taken_along() {
+    let desk = Desk::new().all();
+    fs::create_dir(desk.at("white")).unwrap();
+    VIDEOS.iter().for_each(|name| fs::write(desk.at("white").join(name), "a video of masks").unwrap());
+    save(&desk.at("mask.png"), |at| if at % 64 < 48 { 1.0 } else { 0.0 });
+    let done = desk.import(&["--masks", "white"]);
+    assert!(done.out.contains("now: gs4d train data"), "{}{}", done.out, done.err);
+    assert_eq!((desk.calls("white/"), desk.calls("%05d.png")), (3, 3));
+    let (mask, frames) = (fs::read(desk.at("mask.png")).unwrap(), desk.frames());
+    assert_eq!(frames.len(), 60);
+    for frame in &frames {
+        let image = frame["file_path"].as_str().unwrap();
+        let path = image.replace("images/", "masks/").replace(".jpg", ".png");
+        assert_eq!(frame["mask_path"].as_str(), Some(path.as_str()));
+        assert!(fs::read(desk.at("data").join(&path)).unwrap() == mask, "{path}");
+    }
+    assert!(["start.ply", "doctor.html"].iter().all(|file| desk.at("data").join(file).is_file()));
 }
 
 #[cfg(unix)]
@@ -209,9 +294,7 @@ fn pictures_without_order_are_matched_with_every_key_picture() {
     for k in 0..5 {
         fs::copy(desk.at("picture.jpg"), desk.at(&format!("pictures/{k}.jpg"))).unwrap();
     }
-    let all = ["import", "-o", "data", "--images", "pictures", "--unordered", "--keyframes", "3"];
-    let call = command(&all).current_dir(desk.dir.path()).env("PATH", desk.at("bin")).output().unwrap();
-    let said = format!("{}{}", String::from_utf8_lossy(&call.stdout), String::from_utf8_lossy(&call.stderr));
+    let said = desk.said(&["import", "-o", "data", "--images", "pictures", "--unordered", "--keyframes", "3"]);
     assert!(said.contains("5 frames of 1 camera"), "{said}");
     assert_eq!((desk.calls("exhaustive_matcher"), desk.calls("sequential_matcher")), (1, 0));
     assert_eq!(desk.calls("matches_importer"), 1);

@@ -36,6 +36,10 @@ fn films_from_disk_share_corrections_and_views_are_shown_with_them() {
     let metrics: Value = serde_json::from_str(&fs::read_to_string(run.join("metrics.json")).unwrap()).unwrap();
     assert_eq!(metrics["cameras"]["count"], 3, "a resting camera has one correction");
     assert!(metrics["cameras"]["time"].as_f64().unwrap() > 0.0, "its images have one clock");
+    let page = fs::read_to_string(run.join("report.html")).unwrap();
+    let how = metrics["cameras"]["held_out"].as_str().unwrap();
+    assert!(how.contains("held-out cameras that are not among them are placed anew"), "{how}");
+    assert!(page.contains("Cameras: 3 corrections, ") && page.contains(how), "the page says it beside the scores");
     let scored = metrics["views"][0]["psnr"].as_f64().unwrap();
     let shown = rendered(&run, &data, &out);
     assert!((shown - scored).abs() < 0.01, "rendered as it was scored: {shown} {scored}");

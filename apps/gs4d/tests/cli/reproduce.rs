@@ -34,6 +34,15 @@ fn tables_are_listed_and_shown_with_what_is_there() {
     ] {
         assert!(shown.contains(part), "`{part}` is not in {shown}");
     }
+    // Each scene that is there comes with its check.
+    let folder = dir.path().join("dnerf/hook");
+    let checks: Vec<&str> = shown.lines().filter_map(|l| l.trim().strip_prefix("check it: ")).collect();
+    assert_eq!(checks, [format!("gs4d doctor {}", text(&folder))], "{shown}");
+    let rounds = good(&[&["reproduce", "trace", "continual"][..], &roots].concat()).out;
+    for part in ["our side: gs4d continual DATA", "particlenerf", "robot-task         not below --data"] {
+        assert!(rounds.contains(part), "`{part}` is not in {rounds}");
+    }
+    assert!(!rounds.contains("run the table") && shown.contains("run the table"), "{rounds}");
     gs4d(&["reproduce", "nerf"]).fails(2, &["there is no paper `nerf`", "trace"]);
     gs4d(&["reproduce", "fags", "nosuch"]).fails(2, &["fags nosuch", "modec iphone"]);
     gs4d(&["reproduce", "dut", "runtime", "-o", text(&dir.path().join("o"))]).fails(2, &["gs4d bench RUN"]);

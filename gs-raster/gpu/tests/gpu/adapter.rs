@@ -1,16 +1,18 @@
 //! The adapter of the tests, and scenes.
 
 use gs_core::Splats;
-use gs_gpu::{Gpu, GpuOptions};
+use gs_gpu::{Gpu, GpuError, GpuOptions};
 use gs_raster::measure;
+use std::sync::OnceLock;
 
 /// The adapter, with the limits of a browser. Without one the test is skipped by name, or fails where `GS4D_REQUIRE_GPU` is
-/// set.
+/// set. All tests share it, with its compiled kernels.
 pub fn gpu() -> Option<Gpu> {
-    match Gpu::open_with(&GpuOptions { browser_limits: true, ..GpuOptions::default() }) {
+    static GPU: OnceLock<Result<Gpu, GpuError>> = OnceLock::new();
+    match GPU.get_or_init(|| Gpu::open_with(&GpuOptions { browser_limits: true, ..GpuOptions::default() })) {
         Ok(gpu) => {
             println!("{}", gpu.description());
-            Some(gpu)
+            Some(gpu.clone())
         }
         Err(e) => {
             assert!(std::env::var_os("GS4D_REQUIRE_GPU").is_none(), "{e}");

@@ -1,6 +1,6 @@
 //! A step on the GPU is that of the host within the tolerance of gradients.
 
-use super::{after, gpu, resume, start};
+use super::{after, device, gpu, resume, start};
 use gs_gpu::Renderer;
 use gs_raster::Frame;
 use gs_train::checkpoint::Checkpoint;
@@ -153,7 +153,7 @@ fn what_a_device_cannot_make_the_host_makes() {
         ("fourdgs", "field.hexplane.levels = [1, 1, 1, 1, 1, 1, 1, 1, 1]", "the planes have more than 8 levels"),
         ("modec", "", "the method is more than a cloud and a field"),
     ] {
-        let trainer = start(method, &[over]).on(&gs_train_gpu::device(&gpu)).expect("a device");
+        let trainer = start(method, &[over]).on(&device(&gpu)).expect("a device");
         assert_eq!(trainer.device_lacks().as_deref(), Some(why), "{method} {over}");
         after(trainer, 2);
     }
@@ -164,13 +164,13 @@ fn a_state_too_large_for_a_buffer_stays_on_the_host() {
     let Some(gpu) = gpu() else { return };
     let many =
         "init = { from = \"random\", points = 300000 }\ncloud.sh_degree = 3\nschedule.density.max_splats = 300000";
-    let trainer = start("static3d", &[many]).on(&gs_train_gpu::device(&gpu)).expect("a device");
+    let trainer = start("static3d", &[many]).on(&device(&gpu)).expect("a device");
     let why = trainer.device_lacks().expect("a reason");
     assert!(why.starts_with("Adam's moments take 136 MiB in one buffer, and the device allows 128"), "{why}");
     after(trainer, 1);
     // The field's activations are larger than the moments: known before its first step.
     let wide = "init = { from = \"random\", points = 25000 }\nschedule.density.max_splats = 25000\nfield.width = 512";
-    let mut trainer = start("fourdgs", &[wide]).on(&gs_train_gpu::device(&gpu)).expect("a device");
+    let mut trainer = start("fourdgs", &[wide]).on(&device(&gpu)).expect("a device");
     let why = trainer.device_lacks().expect("a reason");
     assert!(why.starts_with("the field's activations and gradients take 148 MiB in one buffer"), "{why}");
     assert!(testkit::run(&mut trainer, 1)[0].events.is_empty(), "no step was made on the device before");

@@ -1,6 +1,7 @@
-//! Two runs on one adapter are the same bits, whether they were interrupted, looked at or neither.
+//! Two runs on one adapter are the same bits, whether they were looked at and interrupted or not.
 
-use super::{after, gpu, resume, start};
+use super::{after, device, gpu, resume, start};
+use gs_train::checkpoint::Checkpoint;
 use gs_train::testkit;
 
 #[test]
@@ -8,23 +9,20 @@ fn two_runs_are_the_same_bits() {
     let Some(gpu) = gpu() else { return };
     // `fourdgs` is trained twice through the program (`a_gpu_trains_the_same_bits_twice`).
     for method in ["static3d", "defgs"] {
-        let run = || start(method, &[]).on(&gs_train_gpu::device(&gpu)).expect("a device");
-        let first = after(run(), 60);
+        let run = || start(method, &[]).on(&device(&gpu)).expect("a device");
+        let first = after(run(), 50);
 
-        // Looked at after every step.
-        let mut watched = run();
-        for _ in 0..60 {
-            testkit::run(&mut watched, 1);
-            watched.fetch().expect("the state");
+        // Looked at after every step, and interrupted in the warm-up and in the midst of growth.
+        let mut state: Option<Checkpoint> = None;
+        for steps in [17, 16, 17] {
+            let mut other = state.map_or_else(run, |saved| resume(&saved, Some(&gpu)));
+            for _ in 0..steps {
+                testkit::run(&mut other, 1);
+                other.fetch().expect("the state");
+            }
+            state = Some(after(other, 0));
         }
-        assert!(first.tensors == watched.state().tensors, "{method}, looked at");
-
-        // Interrupted in the warm-up and in the midst of growth.
-        let mut state = after(run(), 17);
-        for steps in [16, 27] {
-            state = after(resume(&state, Some(&gpu)), steps);
-        }
-        assert!(first.tensors == state.tensors, "{method}, interrupted");
+        assert!(state.is_some_and(|s| s.tensors == first.tensors), "{method}");
     }
 }
 
@@ -33,7 +31,7 @@ fn two_runs_are_the_same_bits() {
 fn two_hundred_steps_are_the_same_bits() {
     let Some(gpu) = gpu() else { return };
     for method in ["static3d", "fourdgs", "defgs"] {
-        let run = || after(start(method, &[]).on(&gs_train_gpu::device(&gpu)).expect("a device"), 200);
+        let run = || after(start(method, &[]).on(&device(&gpu)).expect("a device"), 200);
         assert!(run().tensors == run().tensors, "{method}");
     }
 }
@@ -41,7 +39,7 @@ fn two_hundred_steps_are_the_same_bits() {
 #[test]
 fn a_run_goes_on_on_the_other_device() {
     let Some(gpu) = gpu() else { return };
-    let there = after(start("fourdgs", &[]).on(&gs_train_gpu::device(&gpu)).expect("a device"), 40);
+    let there = after(start("fourdgs", &[]).on(&device(&gpu)).expect("a device"), 40);
     let back = resume(&there, None);
     let loss = |report: &gs_train::trainer::StepReport| report.loss.total;
     let on_host = testkit::run(&mut { back }, 1).remove(0);

@@ -9,7 +9,8 @@ use gs_train::capabilities::{Particles, RigidBody};
 use gs_train::evaluate::evaluate;
 use gs_train::testkit::{config, run, start};
 use gs_train::timestamp::Timestamp;
-use gs_train::trainer::Trainer;
+use gs_train::trainer::{TrainOptions, Trainer};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// A generated scene of four cameras at rest, the last quarter of the time kept for the future.
@@ -34,10 +35,10 @@ fn trainer(data: &Arc<Dataset>, method: &str, over: &str) -> Trainer {
 
 /// Preset `fast` in 0.28 of its length, 4500 of 16000 steps, with few splats.
 const PART: &str = "
-init.points = 1500
+init.points = 1200
 [schedule]
 sh_every = 169
-density = { from = 84, until = 1856, every = 28, max_splats = 1500 }
+density = { from = 84, until = 1856, every = 28, max_splats = 1200 }
 stages = { warm_up.steps = 56, follow.steps = 1125, dynamic.steps = 3319 }
 lr = { cloud.means.steps = 4500, field.all.steps = 4500 }
 ";
@@ -203,6 +204,44 @@ fn a_forecast_does_not_depend_on_what_was_asked_before() {
             assert_eq!(other.model().splats(&at(*t), camera).expect("splats"), splats, "{method} at {t}");
         }
     }
+}
+
+/// A run of `trace`, preset `tiny`, with TOML laid over it, or why there is none.
+fn begun(data: &Arc<Dataset>, over: &str) -> Result<Trainer, String> {
+    let registry = gs_methods::registry();
+    let config = config(registry, "trace", "tiny", &["init.from = \"random\"", over]);
+    Trainer::new(registry, data.clone(), "trace", &config, TrainOptions::default()).map_err(|e| e.to_string())
+}
+
+#[test]
+fn more_first_points_than_splats_allowed_are_refused() {
+    let data = mechanics("falling");
+    let points = |n: u32| format!("init.points = {n}\nschedule.density.max_splats = 200");
+    let said = begun(&data, &points(201)).err().expect("a refusal");
+    let named = ["201 initial points (init.points)", "schedule.density.max_splats = 200"];
+    assert!(named.iter().all(|part| said.contains(part)), "{said}");
+    assert_eq!(begun(&data, &points(200)).expect("a run").model().splat_count(), 200);
+}
+
+/// The window opens over 70 % of the run, so every view is drawn where 30 % of it are as many steps as there are views.
+#[test]
+fn a_run_too_short_to_draw_every_view_is_refused_with_a_length_that_does() {
+    let data = dataset("falling", &SynthOptions { size: 24, cameras: 3, moments: 16, ..options() });
+    let of = |steps: u32| {
+        let dynamic = format!("{{ steps = {steps}, window_parts = 8, window_until = 0.7 }}");
+        format!("init.points = 50\n[schedule.stages]\nwarm_up.steps = 0\ndynamic = {dynamic}")
+    };
+    let views = data.train.len();
+    let enough = (30 * views as u32).div_ceil(9);
+    let said = begun(&data, &of(30)).err().expect("a refusal");
+    let named = [
+        format!("30 steps would never draw some of the {views} training views"),
+        format!("--steps {enough} draws them all"),
+    ];
+    assert!(named.iter().all(|part| said.contains(part)), "{said}");
+    let mut long = begun(&data, &of(enough)).expect("a run");
+    let drawn: BTreeSet<String> = run(&mut long, enough).into_iter().map(|report| report.view).collect();
+    assert_eq!(drawn.len(), views, "views drawn in {enough} steps");
 }
 
 /// Short enough to see that a setting acts, not what it is worth.

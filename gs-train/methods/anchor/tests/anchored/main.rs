@@ -280,17 +280,22 @@ fn a_change_of_a_parameter_ends_the_rest() {
     assert_eq!(splats(&resting, 0.4, camera), exact);
 }
 
-/// GAD held over each interval leaves LGD a jump to undo at every border; blended, there is none.
+/// GAD held over each interval leaves LGD a jump to undo at every border; the same parameters blended leave none.
 #[test]
 fn key_frames_that_blend_leave_no_jump() {
     let data = scene("reach", 48, 24);
     let camera = &data.test[0].camera;
-    let most = |blend: &str| {
+    let tiny = |blend: &str| {
         let over = format!("intervals.blend = \"{blend}\"");
-        let mut trainer = start(&registry(), &data, "modec", &config(&registry(), "modec", "tiny", &[&over]), 1);
-        let steps = trainer.steps();
-        run(&mut trainer, steps);
-        let all = jumps(trainer.model(), camera).expect("splats");
+        config(&registry(), "modec", "tiny", &[&over])
+    };
+    let mut trainer = start(&registry(), &data, "modec", &tiny("hold"), 1);
+    let steps = trainer.steps();
+    run(&mut trainer, steps);
+    let state = trainer.state();
+    let most = |blend: &str| {
+        let model = saved::load(&registry(), &state, Some(&tiny(blend))).expect("state").model;
+        let all = jumps(&model, camera).expect("splats");
         assert_eq!(all.len(), 4, "borders");
         all.iter().map(|j| j.mean).fold(0.0, f64::max)
     };

@@ -145,11 +145,12 @@ impl Future {
         self.bodies.list.iter().enumerate().map(body).collect()
     }
 
-    /// Standard deviation of where each splat is forecast to be at a time, world units; none where no path was refitted.
+    /// Standard deviation of where each splat is forecast to be at a time, world units: not a number for a splat of no body, of which
+    /// nothing is known; none where no path was refitted.
     pub(super) fn deviations(&self, t: f64) -> Option<Vec<f32>> {
         let tau = (t - self.from).max(0.0);
         let all: Vec<f32> = self.bodies.list.iter().map(|b| cast::to_f32(b.deviation(tau))).collect();
-        let of = |label: &u32| all.get(*label as usize).copied().unwrap_or_default();
+        let of = |label: &u32| all.get(*label as usize).copied().unwrap_or(f32::NAN);
         (!all.is_empty()).then(|| self.bodies.of.iter().map(of).collect())
     }
 
@@ -225,10 +226,8 @@ mod tests {
         assert_eq!(off(&law(2, Integrator::Rk2), tolerance(0.03, 6)), (0.0, 300), "what is not rigid keeps its steps");
     }
 
-    /// Seven steps of a body that turns by 0.3 in each: Euler's would take it a third farther from its axis.
-    #[test]
-    fn a_refitted_body_stays_rigid_whatever_integrates_the_others() {
-        let (start, w) = (begin(), Vec3::Z * 6.0);
+    /// Places of the splats of [`begin`] on a body that turns by `w`, and motions that say so but for noise.
+    fn turning(start: &Geometry, w: Vec3) -> Tracks {
         let mut rng = Rng::new(5, "spin", 0, 0);
         let mut motion = |_: &Vec3| {
             let v = [0; 3].map(|_| 0.02 * rng.normal());
@@ -239,12 +238,32 @@ mod tests {
             let turn = glam::Quat::from_scaled_axis(w * cast::to_f32(*tau));
             start.means.iter().map(|x| turn * *x).collect()
         };
-        let tracks = Tracks {
+        Tracks {
             means: taus.iter().map(turned).collect(),
             motions: taus.iter().map(|_| start.means.iter().map(&mut motion).collect()).collect(),
             taus,
             ..Tracks::default()
-        };
+        }
+    }
+
+    #[test]
+    fn a_splat_of_no_body_has_no_known_deviation() {
+        let (law, tracks) = (law(1, Integrator::Se3Mid), turning(&begin(), Vec3::Z * 6.0));
+        let of = |tracks| Future::new(begin(), &[0.8; 300], FROM, Vec3::ZERO, tracks, &law, tolerance(0.0, 0));
+        assert_eq!(of(None).deviations(0.95), None, "no path was refitted");
+        let mut future = of(Some(&tracks));
+        future.bodies.of[7] = UNGROUPED;
+        let all = future.deviations(0.95).unwrap();
+        let known = future.bodies.of.iter().map(|label| *label != UNGROUPED);
+        assert!(all.iter().map(|d| d.is_finite()).eq(known) && all.iter().all(|d| d.is_nan() || *d > 0.0), "{all:?}");
+        assert!(all[7].is_nan() && all.iter().filter(|d| d.is_finite()).count() > 200);
+    }
+
+    /// Seven steps of a body that turns by 0.3 in each: Euler's would take it a third farther from its axis.
+    #[test]
+    fn a_refitted_body_stays_rigid_whatever_integrates_the_others() {
+        let start = begin();
+        let tracks = turning(&start, Vec3::Z * 6.0);
         for rule in [Integrator::Euler, Integrator::Rk2, Integrator::Se3Mid] {
             let law = law(1, rule);
             let mut future =

@@ -44,8 +44,8 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
         self.with_future(|future| future.particles(&self.dynamics)).1.iter().map(|m| m.from(tau)).collect()
     }
 
-    /// `speed`, `spin` and `acceleration` of every splat, per unit of normalised time; of splats that follow a refitted path
-    /// `deviation`, the standard deviation of their place.
+    /// `speed`, `spin` and `acceleration` of every splat, per unit of normalised time; where paths were refitted, `deviation`, the
+    /// standard deviation of a splat's place, not a number for a splat that follows none of them.
     pub(super) fn physical_quantities(&self, t: f64) -> Vec<Quantity> {
         if !self.canonical.at.dynamic {
             return Vec::new();

@@ -517,14 +517,14 @@ gaunet.own = false
 textures = { unproject = 64, geo = 32, gau = 64 }
 [schedule]
 stages.geometry.steps = 0
-stages.warm_up.steps = 300
-stages.main.steps = 600
-lr.gau.all = { start = 3e-3, end = 1e-4, steps = 600 }
+stages.warm_up.steps = 200
+stages.main.steps = 450
+lr.gau.all = { start = 3e-3, end = 1e-4, steps = 450 }
 ";
     let mut trainer = start(&data, &config(&[over]));
-    run(&mut trainer, 300);
+    run(&mut trainer, 200);
     let warm = in_mask(&trainer, &data, Split::Train);
-    run(&mut trainer, 600);
+    run(&mut trainer, 450);
     let fitted = in_mask(&trainer, &data, Split::Train);
     assert!(warm > 20.0 && fitted > 30.0, "{warm:.2} dB after the warm-up, {fitted:.2} dB in the end");
 }
