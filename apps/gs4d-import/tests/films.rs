@@ -179,7 +179,7 @@ fn lens_error(found: &View, camera: &Camera, lens: &Lens) -> f64 {
     grid.map(angle).fold(0.0, f64::max)
 }
 
-/// Twenty frames of a camera that moves, through a lens. `fov` is what the import is told, degrees.
+/// Twenty frames of a camera that moves, through a lens. `fov` is the `--fov` of the import, degrees.
 fn film_through(model: CameraModel, lens: &Lens, fov: Option<f64>) {
     if !programs(model.name()) {
         return;
