@@ -4,6 +4,7 @@ use super::ReportError;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use gs_core::Image;
+use gs_core::io::images::bytes8;
 use image::codecs::{jpeg::JpegEncoder, png::PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 use std::borrow::Cow;
@@ -94,7 +95,7 @@ pub fn png(image: &Image) -> Result<Vec<u8>, ReportError> {
 
 /// The values in 8 bit, width and height.
 fn bytes_of(image: &Image) -> Result<(Vec<u8>, u32, u32), ReportError> {
-    let bytes: Vec<u8> = image.data.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8).collect();
+    let bytes = bytes8(image);
     let side = |n: usize| u32::try_from(n).map_err(|_| ReportError::Png(format!("{n} pixels on one side")));
     let (width, height) = (side(image.width)?, side(image.height)?);
     if bytes.is_empty() || bytes.len() != image.width * image.height * image.channels {
