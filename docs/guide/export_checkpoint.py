@@ -1,4 +1,4 @@
-"""A checkpoint of 4DGaussians, Deformable-3D-GS, Grid4D or Scaffold-GS as one safetensors file.
+"""A checkpoint of 4DGaussians, Deformable-3D-GS, Grid4D, Scaffold-GS or TRACE as one safetensors file.
 
     python export_checkpoint.py OUTPUT_FOLDER NAME.safetensors [ITERATION]
 
@@ -15,6 +15,8 @@ from safetensors.torch import save_file
 
 folder, out = Path(sys.argv[1]), sys.argv[2]
 names = [p.name.removeprefix("iteration_") for p in (folder / "point_cloud").glob("iteration_*")]
+if not names:
+    sys.exit(f"{folder} has no point_cloud/iteration_N")
 # Grid4D has an `iteration_best`, too, with its number in a file.
 iteration = sys.argv[3] if len(sys.argv) > 3 else max((n for n in names if n.isdigit()), key=int)
 cloud = folder / "point_cloud" / f"iteration_{iteration}"
@@ -23,6 +25,10 @@ load = lambda path: torch.load(path, map_location="cpu", weights_only=True)
 
 if (cloud / "deformation.pth").exists():
     code, parts = "4DGaussians", {"deformation": load(cloud / "deformation.pth")}
+elif deform.with_name("code_field.pth").exists():
+    sys.exit(f"{deform.parent} has the patterns of FreeGave, which gs4d does not read")
+elif deform.with_name("vel.pth").exists():
+    code, parts = "TRACE", {"deform": load(deform), "vel": load(deform.with_name("vel.pth"))}
 elif deform.exists():
     state = load(deform)
     grid4d = isinstance(state, (tuple, list))

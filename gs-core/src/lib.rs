@@ -34,8 +34,8 @@
 //! ```
 //!
 //! # Features
-//! `io` (default): file formats. `images`: PNG and JPEG. `exr`: OpenEXR. `nn` (default): network layers. `testkit`:
-//! shared data for tests.
+//! `io` (default): splat files, cameras, arrays. `images`: PNG and JPEG. `exr`: OpenEXR. `nn` (default): network layers. `neighbours`:
+//! nearest neighbours of points. `testkit`: shared data for tests.
 //!
 //! # What it leaves out
 //! Distortion models (readers refuse or undistort), GPU buffers, scene graphs.

@@ -82,7 +82,7 @@ fn other_rows(criterion: &mut Criterion, a: &Image, b: &Image) {
     measure(criterion, &Row { case: "mse", variant: "f64 sums", side, error, error_kind: "relative" }, || {
         black_box(mse(a, b).expect("a score"));
     });
-    let warm = ColorMap { matrix: [[1.2, 0.05, 0.0], [0.02, 1.0, -0.03], [0.0, 0.1, 0.8]] };
+    let warm = ColorMap::linear([[1.2, 0.05, 0.0], [0.02, 1.0, -0.03], [0.0, 0.1, 0.8]]);
     let mut warmer = a.clone();
     warm.apply(&mut warmer);
     warmer.data.iter_mut().for_each(|v| *v = v.min(1.0));

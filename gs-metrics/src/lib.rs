@@ -9,12 +9,13 @@
 //! | sharpness relative to the ground truth | [`Sharpness`] | | [`sharpness`] |
 //! | trajectories of points: temporal spectrum, second differences | [`high_energies`](trajectory::high_energies) | | [`trajectory`] |
 //! | masked PSNR and SSIM (DyCheck) | [`masked_psnr`], [`masked_ssim`] | | [`masked`] |
+//! | PSNR and SSIM of a person, as papers on avatars have them | [`person_scores`] | | [`person`] |
 //! | optical flow (Farneback), its colour coding and statistics | [`farneback`](flow::farneback), [`Flow`] | | [`flow`] |
 //! | tOF: flow of a render against flow of the ground truth | [`Tof`] | | [`tof`] |
 //! | co-visibility masks: what enough other images show of an image | [`seen`] | | [`covisible`] |
 //! | instance masks: AP, PQ, F1, mIoU | [`Segmentation`] | | [`segmentation`] |
 //! | perceptual **proxy**, without learned weights, not LPIPS | [`perceptual_proxy`], [`masked_perceptual_proxy`] | | [`perceptual`] |
-//! | linear map of colours nearest to the ground truth | [`ColorMap::fit`] | [`ColorMap::pull_back`] | [`ColorMap`] |
+//! | linear map of colours nearest to the ground truth, or one with an offset | [`ColorMap::fit`], [`ColorMap::fit_with_offset`] | [`ColorMap::pull_back`] | [`ColorMap`] |
 //! | LPIPS, with the user's weights | [`Lpips::distance`] | | [`lpips`] |
 //! | ID-MRF texture loss on fixed filters, without learned weights | [`Mrf::value`](mrf::Mrf::value) | [`Mrf::value_and_grad`](mrf::Mrf::value_and_grad) | [`mrf`] |
 //! | means over views | [`Scorer`], [`Summary`] | | [`report`] |
@@ -22,7 +23,8 @@
 //! # Conventions
 //! Images are [`gs_core::Image`]: row-major, channels interleaved, display-encoded values in `[0, 1]`, 1 to 4 channels
 //! (1 or 3 for some metrics). All channels count alike. Values are not clamped or quantised; a protocol that scores 8-bit
-//! files quantises first ([`Quantise`]), one that scores at half resolution reduces then ([`half_size`]). Gradients are with respect to the **first** image and have its shape.
+//! files quantises first ([`Quantise`]), one that scores at half resolution reduces then ([`half_size`]). Gradients are with
+//! respect to the **first** image and have its shape.
 //!
 //! Values and gradients are bitwise equal for any number of threads of the current rayon pool. Bad input is a [`MetricError`]
 //! that says what is wrong, where, and what to do. Images with NaN pixels are errors and have no score.

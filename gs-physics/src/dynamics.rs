@@ -55,7 +55,7 @@ pub trait Dynamics: Params + Send + Sync {
     }
 
     /// The motion of each particle from its start on, about [`Dynamics::origin`]; for a velocity field the local twist, and the
-    /// acceleration of the particle there.
+    /// acceleration of the particle there. How the rotation vector of a velocity field changes is not evaluated: its rate is 0.
     fn motions(&self, start: Start<'_>) -> Vec<Motion<f32>>;
 
     /// Whether [`Dynamics::motions`] read at one time hold for all later times (a law), or the network must be evaluated

@@ -4,7 +4,8 @@
 //! n = ⌈|t − t₀| / Δt − 1e-6⌉:  n − 1 full steps, cached as nodes, then one to t itself
 //! ```
 //! Results have the bits of a fresh [`Rollout::advance`] from `t₀`, whatever times were asked for before. Every eighth step
-//! is cached, and the latest one: the next time costs at most two steps, any other at most nine.
+//! is cached, and the latest one: the next time costs at most two steps, any other at most nine. Of each direction of time fewer than 64
+//! nodes are kept: beyond 504 steps their spacing doubles as often as that takes, and any other time costs at most a spacing and one step.
 //!
 //! [`Extrapolator::reduce`] does less work within a tolerance: particles at rest stay, those with a closed form take one
 //! exponential, rigid groups share one map, and only the others take steps.
@@ -22,8 +23,10 @@ use glam::Vec3;
 use gs_core::cast;
 use rayon::prelude::*;
 
-/// Steps between cached nodes.
+/// Steps between cached nodes, as long as these are few.
 const NODE_INTERVAL: usize = 8;
+/// Number of cached nodes of a direction of time at which every second is dropped; even.
+const MOST_NODES: usize = 64;
 
 /// Columns with different numbers of rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -263,32 +266,49 @@ struct Node {
 }
 
 /// Nodes of one direction of time.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 struct Nodes {
-    /// Nodes after every eighth step, in order.
+    /// Nodes after every `interval`-th step, in order; fewer than [`MOST_NODES`].
     cached: Vec<Node>,
+    /// Steps between them.
+    interval: usize,
     /// The last full step of the previous call.
     latest: Node,
 }
 
+impl Default for Nodes {
+    fn default() -> Self {
+        Self { cached: Vec::new(), interval: NODE_INTERVAL, latest: Node::default() }
+    }
+}
+
 impl Nodes {
-    /// Makes the node after all of `full` the latest, and caches every eighth on the way.
+    /// Makes the node after all of `full` the latest, and caches those at its intervals on the way.
     fn advance(&mut self, packed: &Packed, rule: Integrator, full: &[Substep<f64>]) {
         let mut node = self.before(full.len(), &packed.start);
         while node.steps < full.len() {
-            let stop = (node.steps / NODE_INTERVAL * NODE_INTERVAL + NODE_INTERVAL).min(full.len());
+            let stop = (node.steps / self.interval * self.interval + self.interval).min(full.len());
             packed.roll(Run { rule, substeps: &full[node.steps..stop], steps_before: node.steps }, &mut node.states);
             node.steps = stop;
-            if stop.is_multiple_of(NODE_INTERVAL) && self.cached.len() < stop / NODE_INTERVAL {
-                self.cached.push(node.clone());
+            if stop.is_multiple_of(self.interval) && self.cached.len() < stop / self.interval {
+                self.cache(node.clone());
             }
         }
         self.latest = node;
     }
 
+    /// Keeps a node; every second is dropped where they would be too many.
+    fn cache(&mut self, node: Node) {
+        self.cached.push(node);
+        if self.cached.len() == MOST_NODES {
+            self.interval *= 2;
+            self.cached.retain(|node| node.steps.is_multiple_of(self.interval));
+        }
+    }
+
     /// The nearest node at or before `steps` steps; the latest one is taken out, a cached one or the start copied.
     fn before(&mut self, steps: usize, start: &[StateBlock]) -> Node {
-        let cached = &self.cached[..self.cached.len().min(steps / NODE_INTERVAL)];
+        let cached = &self.cached[..self.cached.len().min(steps / self.interval)];
         let nearest = cached.last().map_or(0, |n| n.steps);
         if self.latest.steps > nearest && self.latest.steps <= steps {
             return std::mem::take(&mut self.latest);
@@ -337,27 +357,36 @@ mod tests {
         (motions, Poses { means, quats: vec![[1.0, 0.0, 0.0, 0.0]; n] })
     }
 
-    fn ready(rollout: Rollout, n: usize) -> Extrapolator {
-        let (motions, poses) = particles(n);
-        Extrapolator::new(rollout, 0.7, motions, poses.means, poses.quats).unwrap()
-    }
-
-    #[test]
-    fn any_time_in_any_order_has_the_bits_of_a_fresh_roll_out() {
+    /// Asks for these times in order, of `n` particles, and asserts the bits of a fresh roll-out to each.
+    fn asked(n: usize, times: &[f64]) -> Extrapolator {
         let rollout = Rollout { rule: Integrator::Se3Mid, dt: 1.0 / 90.0, origin: Vec3::new(0.3, 0.0, -0.2) };
-        let (motions, start) = particles(1100);
-        let mut asked = ready(rollout, 1100);
-        // Past the 64th step, where quaternions are normalised; back; before the start; the start itself.
-        let times =
-            [0.705, 0.9, 0.75, 1.5, 1.51, 1.2, 0.7, -0.2, 0.1, 1.5, 0.7 + 8.0 / 90.0, 0.7 + 72.0 / 90.0, 0.6999];
-        for t in times {
+        let (motions, start) = particles(n);
+        let (means, quats) = (start.means.clone(), start.quats.clone());
+        let mut asked = Extrapolator::new(rollout, 0.7, motions.clone(), means, quats).unwrap();
+        for &t in times {
             let (mut means, mut quats) = (start.means.clone(), start.quats.clone());
             rollout.advance(&motions, [0.0, t - 0.7], &mut means, &mut quats);
             let got = asked.at(t);
             assert!(got.0 == means && got.1 == quats, "{t}");
         }
+        asked
+    }
+
+    #[test]
+    fn any_time_in_any_order_has_the_bits_of_a_fresh_roll_out() {
+        // Past the 64th step, where quaternions are normalised; back; before the start; the start itself.
+        let times =
+            [0.705, 0.9, 0.75, 1.5, 1.51, 1.2, 0.7, -0.2, 0.1, 1.5, 0.7 + 8.0 / 90.0, 0.7 + 72.0 / 90.0, 0.6999];
         // 72 steps ahead and 81 back: ten and ten cached nodes at most.
-        assert!(asked.stepped.nodes.iter().all(|n| (9..=10).contains(&n.cached.len())));
+        assert!(asked(1100, &times).stepped.nodes.iter().all(|n| (9..=10).contains(&n.cached.len())));
+    }
+
+    /// 2007 steps ahead and 1953 back: the spacing of nodes doubles twice, from 8 to 32 steps.
+    #[test]
+    fn far_times_keep_few_nodes() {
+        let far = asked(9, &[23.0, 5.0, 22.9, 14.3, -21.0, -3.0, 23.1, 0.9]);
+        let kept = far.stepped.nodes.each_ref().map(|n| (n.interval, n.cached.len()));
+        assert!(kept.iter().all(|(interval, nodes)| *interval == 32 && (60..MOST_NODES).contains(nodes)), "{kept:?}");
     }
 
     /// Particles of every class and of two rigid groups: reduced answers are off by no more than the tolerance (and the

@@ -28,6 +28,14 @@
 //! # Ok::<(), gs_physics::RowsError>(())
 //! ```
 //!
+//! # Contents
+//! * [`Twist`], [`Motion`]: a velocity field of a rigid body, and how it changes; [`centre`]: the same by a point of the body.
+//! * [`Integrator`], [`Rollout`]: rules of integration, roll-out of many particles forward and backward; [`Extrapolator`]: particles at
+//!   any time; [`classes`]: motions with closed forms.
+//! * [`Law`], [`VelocityField`]: what is learnt, with gradients; [`pinn`]: the physics-informed loss of NVFi.
+//! * [`groups`], [`segment`], [`refit`], [`kabsch`]: rigid bodies among particles.
+//! * [`truth`]: motions with exact ends; [`mod@reference`]: the same mathematics in `f64`.
+//!
 //! # What it leaves out
 //! Contacts, forces between bodies, bodies that bend: a particle goes on as its law says, whatever is in its way. Fitting to images is in
 //! `gs-method-physics`.

@@ -3,6 +3,8 @@
 //! ```text
 //! n = ⌈|τ₁ − τ₀| / Δt − 1e-6⌉        n − 1 steps of Δt, then the remainder
 //! ```
+//! `1e-6` is a share of a step: by so much the last one may be longer than `Δt`. A remainder above it, such as times rounded to `f32`
+//! leave where they are many steps apart, takes a short step of its own.
 //! Times are `f64`, twists are evaluated at the absolute time since they were read (nothing is accumulated), quaternions
 //! are normalised every 64 steps. Particles are advanced in blocks of eight; results are bitwise equal for any number of
 //! threads.
@@ -24,6 +26,8 @@ pub(crate) const TASK: usize = 64;
 pub(crate) const PARTICLES: usize = TASK * LANES;
 /// Largest number of steps of a roll-out; the last one covers the remainder.
 const MAX_STEPS: f64 = 1e6;
+/// How much longer than the others the last step may be, in steps.
+const LONGER: f64 = 1e-6;
 
 /// How particles are integrated along their motions.
 ///
@@ -187,11 +191,11 @@ impl Rollout {
     }
 }
 
-/// `⌈|span| / dt − 1e-6⌉`, at least one step for a span that is not empty.
+/// `⌈|span| / dt − 1e-6⌉`, at least one step for a span that is not empty; `dt` in the unit of time of `span`.
 fn step_count(span: f64, dt: f64) -> usize {
     if span == 0.0 || span.is_nan() {
         return 0;
     }
-    let count = if dt > 0.0 { (span.abs() / dt - 1e-6).ceil() } else { 1.0 };
+    let count = if dt > 0.0 { (span.abs() / dt - LONGER).ceil() } else { 1.0 };
     cast::to_usize(count.clamp(1.0, MAX_STEPS))
 }

@@ -1,4 +1,4 @@
-//! Time and error of a frame, and how cost grows with splats, pixels and depth complexity.
+//! Time and error of a frame, by kernel, instruction set and threads. How cost grows is in `gs4d bench --table growth`.
 //!
 //! `cargo bench -p gs-raster` prints criterion's statistics of the three reference cases, then one row per case,
 //! instruction set and thread count, beside the machine's roofline; rows go to `target/speed-error/gs-raster.jsonl`.
@@ -80,21 +80,4 @@ fn main() {
             });
         }
     }
-    pool(2).install(|| {
-        println!("growth with the number of splats, at 400x400");
-        for n in [1_000, 10_000, 100_000, 300_000] {
-            record("splats", &scene(n, 3), &camera(400), SimdLevel::Auto);
-        }
-        println!("growth with pixels, 10 000 splats");
-        for side in [128, 256, 512, 1024] {
-            record("pixels", &scene(10_000, 3), &camera(side), SimdLevel::Auto);
-        }
-        println!("growth with depth complexity: the same splats, larger and fainter");
-        for grow in [1.0f32, 2.0, 4.0] {
-            let mut splats = scene(10_000, 3);
-            splats.scales.iter_mut().for_each(|s| *s *= grow);
-            splats.opacities.iter_mut().for_each(|o| *o *= 0.3 / grow);
-            record(&format!("depth x{grow}"), &splats, &camera(400), SimdLevel::Auto);
-        }
-    });
 }

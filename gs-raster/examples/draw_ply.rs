@@ -1,7 +1,7 @@
 //! Renders a splat file: `cargo run --release -p gs-raster --example draw_ply -- scene.ply cameras.json out.ppm`.
 //!
-//! Uses the file's kernel if it has one. Without arguments it renders a random scene with each kernel and prints the
-//! statistics of the images.
+//! Uses the file's kernel if it has one, and draws anti-aliased if it says so. Without arguments it renders a random scene
+//! with each kernel and prints the statistics of the images.
 
 use gs_core::io::{Limits, load_cameras, load_splats};
 use gs_core::{Camera, Splats};
@@ -14,22 +14,24 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let [ply, cameras, out] = args.as_slice() else {
         let n = 20_000;
         for (name, kernel) in kernels(n) {
-            render_timed(name, &Splats { kernel, ..scene(n, 3) }, &camera(400));
+            render_timed(name, &Splats { kernel, ..scene(n, 3) }, &camera(400), &RasterOptions::default());
         }
         return Ok(());
     };
     let limits = Limits::default();
-    let splats = load_splats(ply.as_ref(), &limits)?.to_splats()?;
+    let raw = load_splats(ply.as_ref(), &limits)?;
+    let (splats, options) =
+        (raw.to_splats()?, RasterOptions { antialias: raw.antialiased, ..RasterOptions::default() });
     let first = load_cameras(cameras.as_ref(), &limits)?.into_iter().next().ok_or("the camera file is empty")?;
-    write_ppm(&render_timed(ply, &splats, &first.camera), std::fs::File::create_new(out)?)?;
+    write_ppm(&render_timed(ply, &splats, &first.camera, &options), std::fs::File::create_new(out)?)?;
     Ok(())
 }
 
 /// Renders, and prints time and statistics.
-fn render_timed(name: &str, splats: &Splats, camera: &Camera) -> Frame {
+fn render_timed(name: &str, splats: &Splats, camera: &Camera, options: &RasterOptions) -> Frame {
     let mut workspace = Workspace::new();
     let start = std::time::Instant::now();
-    let frame = render(splats, camera, &RasterOptions::default(), &mut workspace);
+    let frame = render(splats, camera, options, &mut workspace);
     let mean = frame.alpha.iter().sum::<f32>() / frame.alpha.len() as f32;
     println!(
         "{name}: {} splats, {}x{}: {:.1} ms, mean alpha {mean:.3}, {} of {} tile entries used",

@@ -20,8 +20,9 @@ use gs_core::{Camera, rot};
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct CameraGrad {
     /// `dL/d viewmat`, rows of `[R | T]`: the nine entries of the rotation as independent numbers, and the translation. The
-    /// camera centre, from which spherical harmonics are seen, counts as `−R⁻¹ T`, as in gsplat; on rotations that is
-    /// `−Rᵀ T`.
+    /// camera centre, from which spherical harmonics are seen, counts as `−R⁻¹ T`, as in gsplat and in
+    /// [`mod@crate::reference`]; frames are drawn from [`Camera::position`], `−Rᵀ T`. On rotations the two are the same. Where `R` is
+    /// off by as much as [`Camera::check`] accepts, 1e-3, they differ by some thousandths of `|T|`.
     pub viewmat: [[f64; 4]; 3],
     /// `dL/d fx`, per pixel.
     pub fx: f64,

@@ -42,8 +42,8 @@ pub struct RasterOptions {
     pub max_alpha: f64,
     /// Samples below this alpha are skipped. Default: 1/255 (3DGS).
     pub min_alpha: f64,
-    /// A pixel stops before the sample that would bring its transmittance to this value or below. Default: 1e-4 (3DGS). On the CPU less
-    /// than 1e-30 counts as that.
+    /// A pixel stops before the sample that would bring its transmittance to this value or below. Default: 1e-4 (3DGS). Less than
+    /// [`Self::MIN_STOP`] counts as that; [`mod@crate::reference`] takes it as it is.
     pub stop: f64,
     /// Added to both diagonal entries of the projected covariance, pixels². Default: 0.3 (3DGS).
     pub dilation: f64,
@@ -100,6 +100,10 @@ pub struct OptionError {
 }
 
 impl RasterOptions {
+    /// Smallest threshold of transmittance: below it a transmittance in `f32` soon has too few digits for the backward pass to undo a
+    /// product.
+    pub const MIN_STOP: f64 = 1e-30;
+
     /// Verifies every field. Rendering with options that do not pass gives pictures without meaning, but no panic.
     ///
     /// ```
@@ -128,7 +132,7 @@ impl RasterOptions {
         need((0.0..1.0).contains(&self.stop), "stop", self.stop, "0 or more, below 1")?;
         // Else the first opaque splat would end a pixel before it counts.
         let opaque = 1.0 - most as f32;
-        need(opaque > self.stop.max(MIN_STOP) as f32, "max_alpha", most, "below 1 − `stop`")?;
+        need(opaque > self.stop.max(Self::MIN_STOP) as f32, "max_alpha", most, "below 1 − `stop`")?;
         need(self.dilation >= 0.0 && self.dilation.is_finite(), "dilation", self.dilation, "0 or more, finite")?;
         need(self.kernel_cut > 0.0 && self.kernel_cut.is_finite(), "kernel_cut", self.kernel_cut, "above 0, finite")?;
         need(self.box_sigmas > 0.0, "box_sigmas", self.box_sigmas, "above 0")
@@ -137,10 +141,6 @@ impl RasterOptions {
 
 /// Smallest threshold of alpha: below it the extent of a splat is more than five standard deviations.
 const MIN_ALPHA: f64 = 1e-6;
-
-/// Smallest threshold of transmittance: below it a transmittance in `f32` soon has too few digits for the backward pass to undo a
-/// product.
-pub(crate) const MIN_STOP: f64 = 1e-30;
 
 /// Thresholds of the blend, rounded to `f32`; see [`RasterOptions`].
 #[derive(Clone, Copy, Debug)]
@@ -161,7 +161,7 @@ impl Limits {
             min_alpha: min_alpha as f32,
             log2_min_alpha: min_alpha.log2() as f32,
             max_alpha: options.max_alpha as f32,
-            stop: options.stop.max(MIN_STOP) as f32,
+            stop: options.stop.max(RasterOptions::MIN_STOP) as f32,
             pass_through: options.clamp_grad == ClampGrad::PassThrough,
         }
     }

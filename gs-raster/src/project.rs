@@ -444,12 +444,27 @@ fn point_backward<T: Real>(view: &View, fp: &Footprint<T>, mean2d: [T; 2], d_j: 
 /// Largest colour of SH coefficients: finite, with room for sums over splats.
 const MAX_COLOR: f32 = 1e37;
 
-/// Colour of SH coefficients `row` (`[K, 3]`) seen from `position`, clamped at zero and at [`MAX_COLOR`].
+/// Colour of SH coefficients `row` (`[K, 3]`) seen from `position`, clamped at zero and at [`MAX_COLOR`]. Upper bands of zeros are left
+/// out: a sum that begins with ½ is the same bits without them.
 #[inline(always)]
 #[expect(clippy::manual_clamp, reason = "a sum of opposite infinities is no number, and becomes 0")]
 pub(crate) fn sh_color(mean: Vec3, position: [f64; 3], degree: u8, row: &[f32]) -> [f32; 3] {
-    let basis = view_basis(mean, position, degree).0;
+    let (degree, row) = without_zeros(degree, row);
+    let basis = if degree == 0 { sh::basis([0.0; 3], 0) } else { view_basis(mean, position, degree).0 };
     sh_color_unclamped(&basis, row).map(|v| v.max(0.0).min(MAX_COLOR))
+}
+
+/// The coefficients up to the highest band that holds more than zeros, and its degree.
+#[inline(always)]
+fn without_zeros(mut degree: u8, mut row: &[f32]) -> (u8, &[f32]) {
+    while degree > 0 {
+        let (lower, band) = row.split_at(3 * sh::coeffs(degree - 1));
+        if band.iter().any(|c| *c != 0.0) {
+            break;
+        }
+        (degree, row) = (degree - 1, lower);
+    }
+    (degree, row)
 }
 
 #[inline(always)]
@@ -490,4 +505,31 @@ fn sh_color_unclamped(basis: &[f32; 16], row: &[f32]) -> [f32; 3] {
         }
     }
     rgb
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gs_core::Rng;
+
+    #[test]
+    fn bands_of_zeros_change_no_bit() {
+        let mut rng = Rng::new(1, "bands", 0, 0);
+        for (used, degree, zero) in (0..=3).flat_map(|d| (0..=d).flat_map(move |u| [(u, d, 0.0), (u, d, -0.0f32)])) {
+            for _ in 0..50 {
+                let kept = 3 * sh::coeffs(used);
+                let row: Vec<f32> =
+                    (0..3 * sh::coeffs(degree)).map(|k| if k < kept { rng.normal() } else { zero }).collect();
+                let mean = Vec3::from_array(std::array::from_fn(|_| rng.normal()));
+                assert_eq!(without_zeros(degree, &row), (used, &row[..kept]));
+                let all =
+                    sh_color_unclamped(&view_basis(mean, [0.5; 3], degree).0, &row).map(|v| v.clamp(0.0, MAX_COLOR));
+                assert_eq!(sh_color(mean, [0.5; 3], degree, &row).map(f32::to_bits), all.map(f32::to_bits));
+            }
+        }
+        // A sum that vanishes on the way has no sign to lose.
+        let row: Vec<f32> = [[-0.5 / sh::C0 as f32; 3], [-0.0; 3], [-0.0; 3], [-0.0; 3]].concat();
+        let all = sh_color_unclamped(&view_basis(Vec3::ONE, [0.0; 3], 1).0, &row);
+        assert_eq!(sh_color(Vec3::ONE, [0.0; 3], 1, &row).map(f32::to_bits), all.map(|v| v.max(0.0).to_bits()));
+    }
 }

@@ -77,8 +77,11 @@ fn phases(method: &str, threads: usize) -> (BTreeMap<&'static str, f64>, usize) 
     let options = SynthOptions::of_views(400, 12, 0);
     let dataset = Arc::new(synth::generate("sheet", &options).expect("a scene").dataset);
     let mut config = gs_methods::registry().find(method).and_then(|m| m.config("fast")).expect("a preset");
-    let still: toml::Table = "[init]\npoints = 20000\n[schedule.density]\nuntil = 0".parse().expect("TOML");
-    gs_train::registry::overlay(&mut config, still);
+    let fixed = match config.contains_key("anchors") {
+        true => "init.points = 4000", // five splats each
+        false => "init.points = 20000\nschedule.density.until = 0\nschedule.density.max_splats = 20000",
+    };
+    gs_train::registry::overlay(&mut config, fixed.parse().expect("TOML"));
     for (_, stage) in config["schedule"]["stages"].as_table_mut().expect("stages").iter_mut() {
         let dynamic = stage["dynamic"].as_bool().unwrap_or(false);
         stage.as_table_mut().expect("a stage").insert("steps".into(), if dynamic { 30 } else { 20 }.into());

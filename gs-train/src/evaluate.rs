@@ -41,13 +41,17 @@ const FIT_RIDGE: f64 = 1e-9;
 const FITTED: &str =
     "; fitted: after the linear map of colours that brings each frame nearest to its image by least squares";
 
+/// The same for maps with offsets.
+const FITTED_WITH_OFFSET: &str = "; fitted: after the affine map of colours, an offset included, that brings each frame nearest to its image by least squares";
+
 /// What is added for images of half size.
 const HALF: &str = "; all reduced to half size by means of areas of 2x2 pixels before they are scored";
 
-/// [`PROTOCOL`] of frames that are rounded or reduced, and of scores in the colours of the images.
-fn protocol(scoring: &Scoring<'_>) -> String {
+/// [`PROTOCOL`] of frames that are rounded or reduced, and of scores in the colours of the images, mapped with an offset or without.
+fn protocol(scoring: &Scoring<'_>, offset: bool) -> String {
     let of = |given: bool, words: &'static str| if given { words } else { "" };
-    format!("{}{}{}", rounded(scoring.quantise), of(scoring.half, HALF), of(scoring.fit_colors, FITTED))
+    let fitted = if offset { FITTED_WITH_OFFSET } else { FITTED };
+    format!("{}{}{}", rounded(scoring.quantise), of(scoring.half, HALF), of(scoring.fit_colors, fitted))
 }
 
 fn rounded(quantise: Quantise) -> String {
@@ -125,14 +129,17 @@ impl MaskedScores {
     }
 }
 
-/// Scores after the linear map of colours that brings a frame nearest to its image by least squares ([`gs_metrics::ColorMap`]); where a view has a mask, of what counts
-/// there.
+/// Scores after the map of colours that brings a frame nearest to its image by least squares ([`gs_metrics::ColorMap`]): affine where the schedule has
+/// [`offset`](crate::loss::ExposureConfig::offset), else linear. Where a view has a mask, of what counts there.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FittedScores {
     /// dB; absent for no error (infinite).
     pub psnr: Option<f64>,
     /// SSIM; absent where a masked side has less than 11 pixels.
     pub ssim: Option<f64>,
+    /// Whether the maps have offsets.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub offset: bool,
 }
 
 impl FittedScores {
@@ -142,13 +149,14 @@ impl FittedScores {
         scoring: &Scoring<'_>,
         truth: &Image,
         mask: Option<&Image>,
+        offset: bool,
     ) -> Result<Option<Self>, MetricError> {
         if mask.is_some_and(|m| m.data.iter().all(|w| *w <= 0.0)) {
             return Ok(None);
         }
         let background = scoring.background;
         let mut fitted = Image::default();
-        let map = fit_before(frame, background, truth, mask, FIT_RIDGE, &mut fitted)?;
+        let map = fit_before(frame, background, truth, mask, FIT_RIDGE, offset, &mut fitted)?;
         map_before(&map, frame, background, &mut fitted);
         fitted.data.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
         scoring.quantise.apply(&mut fitted);
@@ -156,12 +164,17 @@ impl FittedScores {
             Some(mask) => (masked_mse(&fitted, truth, mask), masked_ssim(&fitted, truth, mask).ok().map(|s| s.whole)),
             None => (mse(&fitted, truth), Some(ssim(&fitted, truth, &SsimOptions::default())?)),
         };
-        Ok(Some(Self { psnr: Some(psnr_from_mse(mse?)).filter(|v| v.is_finite()), ssim }))
+        Ok(Some(Self { psnr: Some(psnr_from_mse(mse?)).filter(|v| v.is_finite()), ssim, offset }))
     }
 
     fn mean(all: impl Iterator<Item = Self> + Clone) -> Option<Self> {
         let of = |score: fn(Self) -> Option<f64>| Mean::of(all.clone().filter_map(score)).value;
-        all.clone().next().map(|_| Self { psnr: of(|s| s.psnr), ssim: of(|s| s.ssim) })
+        all.clone().next().map(|first| Self { psnr: of(|s| s.psnr), ssim: of(|s| s.ssim), offset: first.offset })
+    }
+
+    /// What the frames were brought to, in words.
+    pub fn colors(&self) -> &'static str {
+        if self.offset { "in the colours of the images, offsets included" } else { "in the colours of the images" }
     }
 }
 
@@ -357,8 +370,9 @@ pub struct Scoring<'a> {
     pub lpips: Option<&'a Lpips>,
     /// Scores in the colours of the images as well ([`FittedScores`]), which methods that were trained so always get; never at half size.
     pub fit_colors: bool,
-    /// Draws as programs draw that know splats alone: 3DGS's dilation, near plane of files, not anti-aliased; else as the model was trained.
-    pub plain: bool,
+    /// Draws as programs draw that know splats alone: 3DGS's dilation, near plane of files, anti-aliased if true; none: as the model was
+    /// trained.
+    pub plain: Option<bool>,
 }
 
 impl<'a> Scoring<'a> {
@@ -368,12 +382,13 @@ impl<'a> Scoring<'a> {
         Self { background, images, share, device, quantise, half, lpips, fit_colors, plain }
     }
 
-    /// The scores of the frame of a view, and its mean squared error. Of a filmed person, the person counts.
+    /// The scores of the frame of a view, and its mean squared error. Of a filmed person, the person counts. Colours are fitted with an offset or without.
     fn of_frame(
         &self,
         view: &View,
         frame: &Frame,
         is_person: bool,
+        offset: bool,
         scorer: &mut Scorer,
     ) -> Result<(ViewScores, f64), EvalError> {
         let image = self.images.get(view)?;
@@ -392,7 +407,8 @@ impl<'a> Scoring<'a> {
         let mut scored = || {
             let scores = scorer.score(&rendered, &truth)?;
             let of = ViewScores::of(view, &scores, [&rendered, &truth], mask, self.lpips)?;
-            let fitted = self.fit_colors.then(|| FittedScores::of(frame, self, &truth, mask)).transpose()?.flatten();
+            let fitted = self.fit_colors.then(|| FittedScores::of(frame, self, &truth, mask, offset));
+            let fitted = fitted.transpose()?.flatten();
             Ok((ViewScores { fitted, ..of }, scores.mse))
         };
         scored().map_err(|source| EvalError::Metric { view: view.name.clone(), source })
@@ -423,7 +439,8 @@ pub fn evaluate_splats(
     split: Split,
     scoring: &Scoring<'_>,
 ) -> Result<EvalReport, EvalError> {
-    let fit_colors = scoring.fit_colors || model.schedule().exposure.fit;
+    let exposure = model.schedule().exposure;
+    let fit_colors = scoring.fit_colors || exposure.fit;
     let scoring = &Scoring { fit_colors: fit_colors && !scoring.half, ..*scoring };
     let Scoring { background, images, share, device, .. } = *scoring;
     let views = dataset.views(split);
@@ -431,8 +448,8 @@ pub fn evaluate_splats(
         return Err(EvalError::NoViews(split_name(split)));
     }
     let options = match scoring.plain {
-        true => RasterOptions { background, ..RasterOptions::default() },
-        false => model.raster_options(background),
+        Some(antialias) => RasterOptions { background, antialias, ..RasterOptions::default() },
+        None => model.raster_options(background),
     };
     let (mut rasterizer, mut frame, mut scorer) =
         (device.open()?, Frame::default(), Scorer::new(SsimOptions::default()));
@@ -444,7 +461,7 @@ pub fn evaluate_splats(
         let splats = splats(&Timestamp::new(correction.at(view.time)), &camera);
         let splats = splats.map_err(|e| EvalError::Method { view: view.name.clone(), source: Box::new(e) })?;
         rasterizer.render_into(splats.view(), &camera, &options, &mut frame)?;
-        let (scores, mse) = scoring.of_frame(view, &frame, dataset.avatar.is_some(), &mut scorer)?;
+        let (scores, mse) = scoring.of_frame(view, &frame, dataset.avatar.is_some(), exposure.offset, &mut scorer)?;
         Ok::<_, EvalError>((ViewScores { camera: corrections[k], ..scores }, mse))
     })?;
     Ok(report(model, split, scoring, scored))
@@ -460,7 +477,7 @@ fn report(model: &Model, split: Split, scoring: &Scoring<'_>, scored: Vec<(ViewS
         split: split_name(split).to_owned(),
         background: scoring.background,
         scale: scoring.images.scale(),
-        protocol: protocol(scoring),
+        protocol: protocol(scoring, model.schedule().exposure.offset),
         lpips_weights: scoring.lpips.map(Lpips::weights),
         mean: mean_scores(&summary, &views),
         psnr_of_mean_mse: summary.psnr_of_mean_mse.filter(|v| v.is_finite()),

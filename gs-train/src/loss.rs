@@ -15,7 +15,7 @@
 //! A method adds terms of its own ([`Model::with_loss`](crate::model::Model::with_loss)), such as [`TextureTerm`] (DUT). Terms of
 //! weight 0 are not computed. The ground truth stays 8-bit with alpha and is composited over the background here.
 //!
-//! With [`GroundTruth::exposure`] the render is `A x`, in the colours of the ground truth, and the gradient `Aᵀ dL/dx`.
+//! With [`GroundTruth::exposure`] the render is `A x + α o`, in the colours of the ground truth, and the gradients `Aᵀ dL/dx` and, of alpha, `o · dL/dx`.
 //!
 //! With a mask `m` ([`GroundTruth::mask`]) the ground truth is `m y + (1 − m) x`, and the gradient `m dL/dx`: what is rendered outside is right as it is.
 

@@ -90,7 +90,7 @@ impl Model {
     /// How frames are mapped to the colours of a training image in a step, if they are.
     pub(crate) fn exposure(&self, step: u32, image: usize) -> Option<ExposureFit> {
         let ridge = self.schedule.exposure.at(step, self.schedule.steps())?;
-        Some(ExposureFit { ridge, map: self.exposures.map(image) })
+        Some(ExposureFit { ridge, offset: self.schedule.exposure.offset, map: self.exposures.map(image) })
     }
 
     /// Maps to the colours of training images.

@@ -21,6 +21,8 @@ use std::sync::Arc;
 
 /// Name of the maps to the colours of training images.
 const EXPOSURES: &str = "exposures#";
+/// Name of their offsets, where they have any.
+const OFFSETS: &str = "exposures#offsets";
 
 /// Largest number of steps of a run.
 const MAX_STEPS: u32 = 1 << 31;
@@ -125,10 +127,9 @@ fn tensors(model: &Model, moments: bool) -> Vec<(String, Vec<f32>)> {
         }
     });
     model.buffers(&mut |b| tensors.push((b.name.to_owned(), b.values.clone())));
-    let maps = model.exposures().values();
-    if moments && !maps.is_empty() {
-        tensors.push((EXPOSURES.to_owned(), maps.to_vec()));
-    }
+    let maps = [EXPOSURES, OFFSETS].into_iter().zip(model.exposures().values());
+    let kept = maps.filter(|(_, values)| moments && !values.is_empty());
+    tensors.extend(kept.map(|(name, values)| (name.to_owned(), values.to_vec())));
     tensors
 }
 
@@ -187,8 +188,14 @@ pub fn load_with(
     let cameras = *model.cameras().config();
     let mut model = model.with_cameras(cameras, meta.corrected_cameras);
     if let Ok(maps) = checkpoint.tensor(EXPOSURES) {
+        let offsets = checkpoint.tensor(OFFSETS).unwrap_or_default();
         check_finite(EXPOSURES, maps)?;
-        *model.exposures_mut() = Exposures::of(maps);
+        check_finite(OFFSETS, offsets)?;
+        if !offsets.is_empty() && 3 * offsets.len() != maps.len() {
+            let (held, wanted) = (offsets.len(), maps.len() / 3);
+            return Err(format!("tensor `{OFFSETS}` has {held} values, the maps of `{EXPOSURES}` need {wanted}"));
+        }
+        *model.exposures_mut() = Exposures::of(maps, offsets);
     }
     restore(&mut model, &checkpoint.tensors)?;
     model.begin_step(meta.step);

@@ -39,11 +39,12 @@ impl Timeline {
     }
 
     fn stages(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let moves = self.stages.values().any(|stage| stage.dynamic);
         let mut end = 0;
         for (name, stage) in ordered(&self.stages) {
             let begin = end + 1;
             end += stage.steps;
-            writeln!(f, "{begin} to {end}: {name}{}", about(stage, begin))?;
+            writeln!(f, "{begin} to {end}: {name}{}", about(stage, begin, moves))?;
         }
         Ok(())
     }
@@ -79,7 +80,9 @@ impl Timeline {
 
     fn rates(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (group, rates) in &self.lr {
-            for (name, LearningRate { start, end, steps, decay, from, ramp, .. }) in rates {
+            // What has no rate does not learn.
+            let learning = rates.iter().filter(|(_, rate)| rate.start > 0.0 || rate.end > 0.0);
+            for (name, LearningRate { start, end, steps, decay, from, ramp, .. }) in learning {
                 let since = if *from > 0 { format!(" from step {from}") } else { String::new() };
                 let decay = match decay {
                     _ if *steps == 0 || start == end => String::new(),
@@ -105,14 +108,14 @@ impl fmt::Display for Timeline {
     }
 }
 
-/// What is particular about a stage that begins at a step.
-fn about(stage: &Stage, begin: u32) -> String {
+/// What is particular about a stage that begins at a step, of a run in which the field `moves` the scene in some stage.
+fn about(stage: &Stage, begin: u32, moves: bool) -> String {
     let mut said = String::new();
     let mut say = |what: &str| said = format!("{said}, {what}");
     match (stage.dynamic, stage.field_alone) {
-        (false, _) => say("the scene rests"),
+        (false, _) if moves => say("the scene rests"),
         (true, true) => say("only the field learns"),
-        (true, false) => {}
+        _ => {}
     }
     if stage.first_moment {
         say("images of the first moment");
@@ -162,5 +165,9 @@ mod tests {
         schedule.density.until = 2000;
         schedule.stages.values_mut().filter(|stage| stage.dynamic).for_each(|stage| stage.field_alone = true);
         assert!(!text(&schedule).contains("14 passes"), "no rows are edited while only the field learns");
+        schedule.stages.values_mut().for_each(|stage| stage.dynamic = false);
+        assert!(!text(&schedule).contains("rests"), "nothing moves in any stage");
+        schedule.lr.get_mut("field").unwrap().insert("all".to_owned(), LearningRate::constant(0.0));
+        assert!(!text(&schedule).contains("field.all") && text(&schedule).contains("field.planes"));
     }
 }

@@ -6,8 +6,8 @@ use crate::{CheckpointError, Scene};
 
 const CODE: &str = "Deformable-3D-GS";
 const METHOD: &str = "defgs";
-/// Values of an encoded position: three, and a sine and a cosine of each in ten bands.
-const POSITION: usize = 63;
+/// Frequency bands of an encoded position.
+const BANDS_POSITION: usize = 10;
 
 pub(crate) fn scene(file: &Exported<'_>) -> Result<Scene, CheckpointError> {
     if file.has("deform.branch_w.weight") || file.flag_or("is_6dof", false)? {
@@ -15,12 +15,19 @@ pub(crate) fn scene(file: &Exported<'_>) -> Result<Scene, CheckpointError> {
         return Err(CheckpointError::Unsupported { code: CODE, what, method: METHOD });
     }
     let mut scene = cloud(file, CODE, METHOD)?;
-    let Scene { settings, tensors, .. } = &mut scene;
+    network(file, BANDS_POSITION, &mut scene)?;
+    Ok(scene)
+}
+
+/// The network of place and time, whose encoded positions have so many frequency bands.
+pub(crate) fn network(file: &Exported<'_>, bands: usize, scene: &mut Scene) -> Result<(), CheckpointError> {
+    let Scene { settings, tensors, .. } = scene;
+    let position = 3 * (1 + 2 * bands);
     let first = "deform.linear.0.weight";
     let [width, inputs] = file.matrix(first)?;
     let depth = (0..).take_while(|k| file.has(&format!("deform.linear.{k}.weight"))).count();
-    let wrong = || misshapen(first, &[width, inputs], format!("F32 [_, {POSITION} and the encoded time]"));
-    let time = inputs.checked_sub(POSITION).ok_or_else(wrong)?;
+    let wrong = || misshapen(first, &[width, inputs], format!("F32 [_, {position} and the encoded time]"));
+    let time = inputs.checked_sub(position).ok_or_else(wrong)?;
     let encoded = match file.has("deform.timenet.0.weight") {
         true => {
             let [hidden, encoded] = file.matrix("deform.timenet.0.weight")?;
@@ -53,7 +60,8 @@ pub(crate) fn scene(file: &Exported<'_>) -> Result<Scene, CheckpointError> {
         set("field.width", whole(width)),
         set("field.depth", whole(depth)),
         set("field.skip", whole(skip)),
+        set("field.bands_position", whole(bands)),
         set("field.bands_time", whole((encoded - 1) / 2)),
     ]);
-    Ok(scene)
+    Ok(())
 }

@@ -10,7 +10,9 @@ pub enum CheckpointError {
     #[error("the file has no {0} in its metadata; write it with export_checkpoint.py")]
     NotExported(&'static str),
     /// The file is of another code.
-    #[error("checkpoints of `{0}` are not known; known are 4DGaussians, Deformable-3D-GS, Grid4D and Scaffold-GS")]
+    #[error(
+        "checkpoints of `{0}` are not known; known are 4DGaussians, Deformable-3D-GS, Grid4D, Scaffold-GS and TRACE"
+    )]
     Code(String),
     /// A tensor is not in the file.
     #[error("the file has no tensor `{0}`")]

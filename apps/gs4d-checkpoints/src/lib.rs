@@ -10,6 +10,7 @@
 //! | Deformable-3D-GS (Yang et al. 2024) | `defgs` | 6-DoF deformation is refused |
 //! | Grid4D (Xu et al. 2024) | `grid4d` | – |
 //! | Scaffold-GS (Lu et al. 2024) | `scaffold` | one vector of appearance, the mean, stands for all cameras |
+//! | TRACE (Li et al. 2025) | `trace` | when the field ends and how long a step is, which depends on the data; 6-DoF deformation is refused |
 //!
 //! Deformable-3D-GS and Grid4D hand the sum of a unit quaternion and its offset to a rasteriser that does not normalise it, which changes
 //! the covariance where the sum is not of length 1. gs4d normalises, so there a splat that turns much has another shape.
@@ -32,6 +33,7 @@ mod four_dgs;
 mod grid4d;
 mod hash_table;
 mod scaffold;
+mod trace;
 
 pub use error::CheckpointError;
 
@@ -41,7 +43,7 @@ use glam::Vec3;
 /// A scene that another code has trained, in the terms of gs4d.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
-    /// Name of the code: `4DGaussians`, `Deformable-3D-GS`, `Grid4D` or `Scaffold-GS`.
+    /// Name of the code: `4DGaussians`, `Deformable-3D-GS`, `Grid4D`, `Scaffold-GS` or `TRACE`.
     pub code: &'static str,
     /// Iteration of the checkpoint.
     pub iteration: u64,
@@ -72,6 +74,7 @@ impl Scene {
             "Deformable-3D-GS" => deformable::scene(&file),
             "Grid4D" => grid4d::scene(&file),
             "Scaffold-GS" => scaffold::scene(&file),
+            "TRACE" => trace::scene(&file),
             other => Err(CheckpointError::Code(other.to_owned())),
         }
     }

@@ -1,5 +1,5 @@
-//! Checkpoints in the layouts of four codes, made by `golden/make.py` with the codes' own modules: the scenes of gs4d are theirs, splat by splat,
-//! and their renderings agree to 1e-4.
+//! Checkpoints in the layouts of four codes, made by `golden/make.py` with the codes' own modules, and of TRACE, made by `golden/make_trace.py`
+//! from its formulas: the scenes of gs4d are theirs, splat by splat, and their renderings agree to 1e-4.
 //!
 //! | column | tolerance |
 //! |---|---|
@@ -26,10 +26,10 @@ fn golden(name: &str) -> Vec<u8> {
     std::fs::read(&file).unwrap_or_else(|e| panic!("{}: {e}", file.display()))
 }
 
-/// The run of a checkpoint, on a scene it was not trained on.
+/// The run of a checkpoint, on a scene it was not trained on, with images at times 0, 0.1, … 1.
 fn opened(scene: Scene, dir: &tempfile::TempDir) -> OpenRun {
     let data = dir.path().join("data");
-    write(&data, "static", &SynthOptions::of_views(16, 3, 1), false).unwrap();
+    write(&data, "balls", &SynthOptions::of_views(16, 11, 1), false).unwrap();
     let Scene { method, settings, tensors, bounds, .. } = scene;
     let origin = serde_json::json!({ "file": "golden" });
     let elsewhere = Elsewhere { method, settings, tensors, bounds, origin };
@@ -107,8 +107,12 @@ fn camera(eye: DVec3) -> Camera {
 
 /// The clouds of a code at all of its times.
 fn assert_moves(name: &str) {
+    assert_scene_moves(name, Scene::read(&golden(name)).unwrap());
+}
+
+fn assert_scene_moves(name: &str, scene: Scene) {
     let dir = tempfile::tempdir().unwrap();
-    let run = opened(Scene::read(&golden(name)).unwrap(), &dir);
+    let run = opened(scene, &dir);
     let bytes = golden(&format!("{name}.expected"));
     let file = SafeTensors::deserialize(&bytes).unwrap();
     let camera = camera(DVec3::new(0.5, -0.7, -5.0));
@@ -134,6 +138,16 @@ fn deformable_3d_gs_of_generated_scenes_and_of_captures() {
 #[test]
 fn grid4d() {
     assert_moves("grid4d");
+}
+
+#[test]
+fn trace_before_the_field_ends_and_after() {
+    let mut scene = Scene::read(&golden("trace")).unwrap();
+    assert!(scene.notes[0].contains("ends at time 0.6 and its steps are 1/15"), "{:?}", scene.notes);
+    // The same in intervals of a tenth, before the last image at time 1.
+    let intervals = [("physics.back_frames", 4.0), ("physics.step_frames", 2.0 / 3.0)];
+    scene.settings.extend(intervals.map(|(key, value)| (key.to_owned(), toml::Value::Float(value))));
+    assert_scene_moves("trace", scene);
 }
 
 #[test]
@@ -195,6 +209,7 @@ fn what_gs4d_does_not_have_is_refused_by_name() {
         ("deformable", "\"is_6dof\": false", "\"is_6dof\": true", "the screw motion"),
         ("grid4d", "\"scale_xyz\": 1.0", "\"scale_xyz\": [1.0, 1.0, 2.0]", "a cube of unequal sides"),
         ("grid4d", "\"deform_level_dim\": 2", "\"deform_level_dim\": 4", "4 features a level"),
+        ("trace", "\"freegave\": false", "\"freegave\": true", "motion by patterns"),
     ] {
         let error = error(&with(name, from, to)).to_string();
         assert!(error.contains(said) && error.contains("no counterpart"), "{error}");
@@ -229,6 +244,7 @@ fn files_that_are_no_exported_checkpoints_are_refused() {
         ("4dgaussians", "deformation.deformation_net.grid.aabb"),
         ("grid4d", "grid4d.yzt_encoding.offsets"),
         ("scaffold", "cov_mlp.2.weight"),
+        ("trace", "vel.vel_net.weight_net.0.bias"),
         ("4dgaussians", "ply.opacity"),
         ("grid4d", "ply.x"),
     ] {
@@ -240,7 +256,7 @@ fn files_that_are_no_exported_checkpoints_are_refused() {
 /// Whatever is cut away or changed gives an error or a scene, never a panic.
 #[test]
 fn damaged_files_do_not_panic() {
-    for name in ["4dgaussians", "deformable-blender", "grid4d", "scaffold-bank"] {
+    for name in ["4dgaussians", "deformable-blender", "grid4d", "scaffold-bank", "trace"] {
         let bytes = golden(name);
         let head = bytes.len().min(9000);
         for k in (0..head).step_by(7) {

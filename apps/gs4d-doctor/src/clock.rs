@@ -11,6 +11,7 @@ const MAX_GAP: f64 = 3.0;
 const TIME_TOLERANCE: f32 = 1e-6;
 /// Share of identical consecutive images above which a camera counts as frozen.
 const FROZEN_SHARE: f64 = 0.5;
+
 /// Checks times.
 pub(super) fn check(data: &Dataset, checked: &ImageChecks) -> Vec<Finding> {
     let mut times: Vec<(f32, f64)> = data.train.iter().map(|v| (v.time.normalised, v.time.seconds)).collect();

@@ -5,7 +5,7 @@
 //! ```text
 //! 16 B per parameter (value, gradient, two moments) + 3000 B per splat (projected, tile lists, tapes, cotangents)
 //! + 130 B per pixel (frame, cotangents, loss) + 24 MiB (the program)
-//! + 13 B per pixel and image of the report
+//! + 13 B per pixel and image of the report, of which most are reduced
 //! + decoded training images at the scale of each stage, and test images, as far as the cache keeps them
 //! ```
 //! The constants are fitted to measured peaks of `fourdgs`, `grid4d` and `modec`.
@@ -18,6 +18,7 @@ use gs_train::densify::GrowthLimits;
 use gs_train::registry::Registry;
 use gs_train::schedule::Schedule;
 use gs_train::trainer::{TrainOptions, Trainer};
+use gs4d_report::IMAGE_SIDE;
 use gs4d_run::RunError;
 use gs4d_run::memory;
 use gs4d_run::settings::{Request, Resolved, resolve};
@@ -177,7 +178,7 @@ fn measure(data: &Dataset, options: &CostOptions) -> Result<Cost, String> {
     let whole = trial.trainer(trial.data.clone(), &resolved.method)?;
     let (schedule, growth) = (whole.model().schedule().clone(), whole.model().capabilities().growth);
     let few = Size::of(&whole);
-    let held = images_held(whole.model(), data).map_err(|e| e.to_string())? as f64;
+    let [compared, reduced] = images_held(whole.model(), data).map_err(|e| e.to_string())?;
     drop(whole);
     let growth = growth.filter(|g| g.most > few.splats);
     let most = growth.map_or(few.splats, |g| g.most);
@@ -198,7 +199,8 @@ fn measure(data: &Dataset, options: &CostOptions) -> Result<Cost, String> {
     }
     let (images, largest) = decoded(data, &schedule);
     let kept = images.map(|i| i.min(f64::from(resolved.run.image_mib) * MIB)).iter().sum::<f64>();
-    let pixels = (BYTES_PER_PIXEL + BYTES_PER_HELD_PIXEL * held) * largest;
+    let held = compared as f64 * largest + reduced as f64 * largest.min((IMAGE_SIDE * IMAGE_SIDE) as f64);
+    let pixels = BYTES_PER_PIXEL * largest + BYTES_PER_HELD_PIXEL * held;
     let memory = |values: f64, splats: usize| {
         (BYTES_PER_VALUE * values + BYTES_PER_SPLAT * splats as f64 + pixels + kept + PROGRAM_BYTES) / MIB
     };
@@ -252,9 +254,11 @@ impl Trial<'_> {
         let [training, _] = decoded(&self.data, trainer.model().schedule()).0;
         let kept = training <= f64::from(self.resolved.run.image_mib) * MIB;
         let mut counted = Vec::new();
-        for k in 0..(WARM_UP + TIMED).min(trainer.steps()) {
+        let steps = (WARM_UP + TIMED).min(trainer.steps());
+        for k in 0..steps {
             let ms = trainer.step().map_err(|e| e.to_string())?.ms;
-            if k >= WARM_UP {
+            // Of a stage of few steps the last one counts.
+            if k >= WARM_UP || k + 1 == steps {
                 counted.push(if kept { ms.total - ms.data } else { ms.total });
             }
         }

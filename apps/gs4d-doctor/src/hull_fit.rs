@@ -28,7 +28,7 @@ const MIN_EACH: f64 = 0.01;
 const MIN_PART: f64 = 0.35;
 /// A fault that is tried must exceed the limit by this factor: it was not among the views that carved the hull.
 const MARGIN: f64 = 1.3;
-/// Places below an flagged one that says what is usual: one more may be at fault.
+/// Places below a flagged one that says what is usual: one more may be at fault.
 const BELOW: usize = 2;
 /// A view is not exchanged if a shift gains this share of what the other's pose gains.
 const MOST_BY_SHIFT: f64 = 0.75;

@@ -8,8 +8,6 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::hash::{DefaultHasher, Hasher};
 
-/// Longest side of the images in which corners are detected, pixels.
-const SMALL_SIDE: f64 = 480.0;
 /// Least standard deviation of luma (0..255) of an image that is not blank.
 const MIN_SPREAD: f64 = 1.5;
 /// Factor between an image's mean luma and the median one above which its exposure is reported.
@@ -18,6 +16,8 @@ const EXPOSURE_FACTOR: f64 = 1.8;
 const MIN_SHARPNESS: f64 = 0.3;
 /// Side of the image corners in which alpha is checked, as a share of the image's sides.
 const CORNER_SIZE: f64 = 0.06;
+/// Opaque share of an image from which its alpha is no silhouette.
+const WHOLE: f64 = 0.98;
 
 /// Cells on each side of a thumbnail.
 const THUMB: usize = 24;
@@ -59,27 +59,30 @@ pub(super) struct ImageChecks {
     /// Names of masks that cannot be read, and of those that are zero everywhere.
     masks: [Vec<String>; 2],
     masked: usize,
-    largest: u32,
     whole: bool,
     max_image_mib: Option<u32>,
 }
 
-/// Reads the images and masks of a sample; `max_image_mib` bounds the memory for decoding one.
-pub(super) fn check(data: &Dataset, sample: &Sample, max_image_mib: Option<u32>) -> ImageChecks {
+/// Reads the images and masks of a sample; `max_image_mib` bounds the memory for decoding one. `keep` is given each image that can be
+/// read, with the split and the index of its view.
+pub(super) fn check(
+    data: &Dataset,
+    sample: &Sample,
+    max_image_mib: Option<u32>,
+    keep: &(dyn Fn((Split, usize), &ImageU8) + Sync),
+) -> ImageChecks {
     // Each is read once.
     let images = ImageCache::new(0, 1.0).with_max_image_mib(max_image_mib);
     let see = |&(split, index): &(Split, usize)| {
-        let found = images.get(&data.views(split)[index]);
+        let found = images.get(&data.views(split)[index]).inspect(|image| keep((split, index), image));
         let traits = found.map(|i| traits(&i)).map_err(|e| (e.to_string(), e.code(), e.fix()));
         CheckedImage { split, index, traits }
     };
     let seen: Vec<CheckedImage> = sample.views.par_iter().map(see).collect();
     let masks = sample.views.par_iter().filter_map(|&(s, i)| mask(&data.views(s)[i], &images)).collect::<Vec<_>>();
     let named = |empty: bool| masks.iter().filter(|m| m.1 == Some(empty)).map(|m| m.0.clone()).collect();
-    let views = || Split::ALL.iter().flat_map(|&s| data.views(s));
-    let largest = views().map(|v| v.camera.width.max(v.camera.height)).max().unwrap_or(1);
     let whole = seen.len() == sample.total;
-    ImageChecks { seen, masks: [named(false), named(true)], masked: masks.len(), largest, whole, max_image_mib }
+    ImageChecks { seen, masks: [named(false), named(true)], masked: masks.len(), whole, max_image_mib }
 }
 
 /// Name of a masked view, and whether its mask is zero everywhere (`Some(true)`), cannot be read (`Some(false)`) or is right
@@ -150,11 +153,6 @@ fn thumbnail(image: &ImageU8, grey: &[f64]) -> Vec<f32> {
 }
 
 impl ImageChecks {
-    /// The scale at which the longest side of all images is at most [`SMALL_SIDE`].
-    pub(super) fn small_scale(&self) -> f64 {
-        (SMALL_SIDE / f64::from(self.largest)).min(1.0)
-    }
-
     /// The data set without training views whose image cannot be read.
     pub(super) fn readable(&self, data: &Dataset) -> Dataset {
         let bad = |i: usize| self.seen.iter().any(|s| s.split == Split::Train && s.index == i && s.traits.is_err());
@@ -244,7 +242,8 @@ impl ImageChecks {
             by_hash.entry(t.hash).or_default().push((v, split));
         }
         let named = |list: &[(&View, Split)]| {
-            list.iter().map(|(v, s)| format!("{} ({s:?})", v.name)).collect::<Vec<_>>().join(" = ").to_lowercase()
+            let one = |(v, s): &(&View, Split)| format!("{} ({})", v.name, format!("{s:?}").to_lowercase());
+            list.iter().map(one).collect::<Vec<_>>().join(" = ")
         };
         let several = || by_hash.values().filter(|l| l.len() > 1);
         let crosses = |l: &[(&View, Split)]| {
@@ -318,14 +317,15 @@ impl ImageChecks {
         }
         let list: Vec<&Traits> = self.good(data).map(|(_, _, t)| t).collect();
         let part = |f: &dyn Fn(&Traits) -> bool| list.iter().filter(|t| f(t)).count() as f64 / list.len().max(1) as f64;
-        if part(&|t| t.corners > 0.9 && t.opaque < 0.98) > 0.8 {
-            let what = "alpha is 1 in the corners of most images and 0 elsewhere: it looks inverted";
-            let fix = "write 255 − alpha";
+        if part(&|t| t.corners > 0.9 && t.opaque < WHOLE) > 0.8 {
+            let what = "alpha is 1 in the corners of most images and 0 in parts of the rest: it looks inverted";
+            let fix = "write 255 − alpha; or images without alpha, if what is transparent was cut out of whole images";
             return Some(Finding::new("images", "images.alpha", Verdict::Problem, what).fix(fix));
         }
-        (part(&|t| t.opaque > 0.999) > 0.99).then(|| {
-            let what = "images have an alpha channel that is 1 everywhere: it gives no silhouette, and the visual hull would be the whole box";
-            Finding::new("images", "images.alpha", Verdict::Warning, what).fix("write images without alpha, or with the mask in it")
+        (part(&|t| t.opaque >= WHOLE) > 0.99).then(|| {
+            let what = "images have an alpha channel that is 1 everywhere, or nearly: it gives no silhouette, and the visual hull would be the whole box";
+            let fix = "write images without alpha, or with the mask in it; if it is inverted, 255 − alpha";
+            Finding::new("images", "images.alpha", Verdict::Warning, what).fix(fix)
         })
     }
 
@@ -357,5 +357,32 @@ impl ImageChecks {
             out.push(Finding::ok("masks", text));
         }
         out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gs_data::ImageSource;
+    use gs_synth::{SynthOptions, generate};
+    use std::sync::Arc;
+
+    #[test]
+    fn alpha_that_is_0_in_a_small_part_is_no_silhouette_and_in_a_larger_one_inverted() {
+        let data = generate("static", &SynthOptions::of_views(40, 6, 1)).expect("scene").dataset;
+        let with_hole = |v: &mut View, side: usize| {
+            let mut image = (*ImageCache::new(0, 1.0).get(v).expect("image")).clone();
+            let inside = |x: usize| (10..10 + side).contains(&x);
+            for (k, p) in image.data.chunks_exact_mut(4).enumerate() {
+                p[3] = if inside(k % 40) && inside(k / 40) { 0 } else { 255 };
+            }
+            v.image = ImageSource::Memory(Arc::new(image));
+        };
+        for (side, verdict) in [(0, Verdict::Warning), (4, Verdict::Warning), (16, Verdict::Problem)] {
+            let mut data = data.clone();
+            data.train.iter_mut().chain(&mut data.test).for_each(|v| with_hole(v, side));
+            let found = check(&data, &Sample::of(&data, false), None, &|_, _| ()).alpha(&data).expect("a finding");
+            assert_eq!((found.code, found.verdict), ("images.alpha", verdict), "{side}: {found:?}");
+        }
     }
 }

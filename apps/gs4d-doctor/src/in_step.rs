@@ -166,15 +166,13 @@ impl<'a> Clocks<'a> {
         let finding = (!late.is_empty()).then(|| {
             let shift = TimeShift(late.iter().filter_map(shift).collect());
             let what = format!("{} cameras run early or late (each named by its first view)", late.len());
+            let late_cameras = Finding::new("time", "time.late", Verdict::Warning, what).at(late.iter().map(name));
             if self.film {
-                let what = format!("{} cameras run early or late (each named by its first view)", late.len());
-                let late = late.iter().map(name);
                 let fix = "renumber the images of these cameras: a film has no data.time_shift";
-                return Finding::new("time", "time.late", Verdict::Warning, what).at(late).fix(fix);
+                return late_cameras.fix(fix);
             }
             let fix = format!("--set data.time_shift={shift}, or --fix, which adds it to the shifts in scene.toml");
-            let finding = Finding::new("time", "time.late", Verdict::Warning, what).at(late.iter().map(name)).fix(fix);
-            finding.setting(Some(Setting::Shift(shift)))
+            late_cameras.fix(fix).setting(Some(Setting::Shift(shift)))
         });
         (finding, Some(power))
     }
@@ -273,7 +271,7 @@ mod tests {
     fn checked(data: &Dataset) -> (Option<Finding>, Option<Finding>) {
         let sample = Sample::of(data, false);
         assert!(sample.views.len() < sample.total);
-        check(data, &images::check(data, &sample, None))
+        check(data, &images::check(data, &sample, None, &|_, _| ()))
     }
 
     #[test]

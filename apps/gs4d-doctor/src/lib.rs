@@ -15,6 +15,7 @@
 //! | module | checks |
 //! |---|---|
 //! | `sample` | which of many images are read |
+//! | `reduced` | none: it keeps reduced images, so that later checks decode few again |
 //! | `images` | files: readable, blank, duplicate, exposure, sharpness, alpha, masks |
 //! | `clock`, `in_step` | times: source, gaps, two images of one camera at one time, cameras whose clock is off |
 //! | `poses` | cameras: epipolar error of matched corners, under the poses and under other conventions |
@@ -41,6 +42,7 @@ mod pose_readings;
 mod poses;
 #[cfg(test)]
 mod power;
+mod reduced;
 mod refit;
 mod rig;
 mod sample;
@@ -55,8 +57,9 @@ pub use template::{CameraOutlines, JointOutlines, Outlines};
 
 use gs_core::Image;
 use gs_data::{
-    Confidence, DataError, DataOptions, Dataset, ImageCache, LAYOUTS, TimeRange, TimeShift, detect, write_times,
+    Confidence, DataError, DataOptions, Dataset, ImageU8, LAYOUTS, TimeRange, TimeShift, detect, write_times,
 };
+use reduced::Reduced;
 use sample::Sample;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -231,28 +234,31 @@ pub fn examine_and_tell(dir: &Path, exam: &CheckOptions, tell: &mut dyn FnMut(&F
     checkup.notes.clone_from(&data.notes);
     let sample = Sample::of(&data, exam.all);
     checkup.add(sample.finding(), tell);
-    let checked = images::check(&data, &sample, options.max_image_mib);
+    let reduced = Reduced::of(&data, options.max_image_mib);
+    let keep = |at, whole: &ImageU8| reduced.keep(&data, at, whole);
+    let checked = images::check(&data, &sample, options.max_image_mib, &keep);
     checkup.add(checked.findings(&data), tell);
     checkup.add(clock::check(&data, &checked), tell);
     let readable = checked.readable(&data);
     if readable.train.is_empty() {
         return checkup;
     }
-    let small_images = ImageCache::new(256 << 20, checked.small_scale()).with_max_image_mib(options.max_image_mib);
-    let silhouettes = silhouettes::check(&readable);
-    let (findings, mut figures) = poses::check(&readable, &small_images, silhouettes.as_ref());
+    let silhouettes = silhouettes::check(&readable, reduced.silhouettes.as_ref());
+    let (findings, mut figures) = poses::check(&readable, &reduced.small, silhouettes.as_ref());
     // Points and box mean nothing under poses of another convention.
     let sound = !findings.iter().any(|f| f.code == "poses.convention");
     checkup.add(findings, tell);
     if sound {
-        checkup.add(start::check(&readable), tell);
+        checkup.add(start::check(&readable, silhouettes.as_ref()), tell);
     }
-    let template = template::check(&readable, &small_images);
+    let template = template::check(&readable, &reduced.small);
     checkup.add(template.findings, tell);
     checkup.outlines = template.outlines;
     figures.extend(template.figures);
-    figures.extend(figures::all(&readable, &small_images, silhouettes.as_ref()));
+    figures.extend(figures::all(&readable, &reduced.small, silhouettes.as_ref()));
     checkup.figures = figures;
+    // A run that is tried has the memory to itself.
+    drop((reduced, silhouettes));
     if let Some(options) = &exam.cost {
         let (findings, cost) = cost::check(&readable, options);
         checkup.add(findings, tell);

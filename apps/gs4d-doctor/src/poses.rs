@@ -96,7 +96,7 @@ fn axes(data: &Dataset, matches: &Matches<'_>, silhouettes: Option<&Silhouettes>
         return None;
     }
     let what = "whether camera axes are those of the convention that the layout has cannot be told from these images: too few \
-                matched corners agree with any poses, and no silhouettes carve a hull";
+                matched corners agree with any poses, and no silhouettes settle it";
     let fix = "look at a short training: under wrong axes (y and z the other way) nothing of the scene appears";
     Some(Finding::new("poses", "poses.axes", Verdict::Note, what).fix(fix))
 }
@@ -217,7 +217,7 @@ impl Singles<'_, '_, '_> {
         .fix("look at the report's worst views after a short training: a view whose pose is wrong is among them")
     }
 
-    /// An flagged view against what the others say.
+    /// A flagged view against what the others say.
     fn figure(&self, place: Place, why: &[String], matches: &Matches<'_>, small_images: &ImageCache) -> Option<Figure> {
         let caption = |how: &str| format!("{}: {} ({how})", self.name(place), why.join(", and "));
         let of_hull = self.hull.as_ref().map(|(s, _)| *s);

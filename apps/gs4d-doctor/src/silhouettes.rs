@@ -6,7 +6,7 @@ use super::{Finding, Verdict, median};
 use glam::{DMat3, DQuat, DVec3};
 use gs_core::Camera;
 use gs_data::hull::{Carved, Silhouette, carve};
-use gs_data::{Dataset, Split};
+use gs_data::{Dataset, ImageCache, Split};
 use rayon::prelude::*;
 
 /// Share of the views that must agree on a hull cell: lower than for initial points, so that a few wrong views do not empty
@@ -19,6 +19,7 @@ const BAD_SHARE: f64 = 0.5;
 const MOST_FILLED: f64 = 0.8;
 /// Another reading of the poses must cover so much more.
 const MIN_READING_GAIN: f64 = 0.25;
+
 /// The visual hull and its fit to each silhouette.
 pub(super) struct Silhouettes {
     /// The hull's cells and the silhouettes that carved them.
@@ -31,9 +32,9 @@ pub(super) struct Silhouettes {
     better: Option<(PoseReading, f64)>,
 }
 
-/// Carves the training views; none where they have neither alpha nor masks.
-pub(super) fn check(data: &Dataset) -> Option<Silhouettes> {
-    let carved = carve(data, AGREEMENT).ok().flatten()?;
+/// Carves the training views; none where they have neither alpha nor masks. `images` may hold reduced images.
+pub(super) fn check(data: &Dataset, images: Option<&ImageCache>) -> Option<Silhouettes> {
+    let carved = carve(data, AGREEMENT, images).ok().flatten()?;
     // Masks of what must not count, or alpha that is 1, are no outlines of an object.
     let filled = |s: &Silhouette| {
         let inside = s.inside();
@@ -46,7 +47,7 @@ pub(super) fn check(data: &Dataset) -> Option<Silhouettes> {
     for split in [Split::Val, Split::Test] {
         let views = data.views(split);
         if views.iter().any(|v| data.has_alpha || v.mask.is_some()) {
-            shapes.extend(carved.silhouettes_of(views).unwrap_or_default().into_iter().map(|s| (split, s)));
+            shapes.extend(carved.silhouettes_of(views, images).unwrap_or_default().into_iter().map(|s| (split, s)));
         }
     }
     let fits = covered(&carved);

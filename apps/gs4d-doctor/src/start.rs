@@ -1,8 +1,9 @@
 //! Checks of the initial points and of the scene box.
 
+use super::silhouettes::Silhouettes;
 use super::{Finding, Verdict};
 use glam::Vec3;
-use gs_data::{Dataset, StartFrom};
+use gs_data::{Dataset, StartFrom, shell_quoted};
 
 /// Share of points in the frame of training views: above the first points are good, below the second they are wrong.
 const GOOD_SHARE: f64 = 0.9;
@@ -15,18 +16,20 @@ const CELLS: usize = 5;
 /// Fewest points to start training from.
 const MIN_POINTS: usize = 50;
 
-/// Checks points and box.
-pub(super) fn check(data: &Dataset) -> Vec<Finding> {
-    let mut out = vec![points(data)];
-    out.push(bound(data));
-    out
+/// Checks points and box; `silhouettes` are those of the data.
+pub(super) fn check(data: &Dataset, silhouettes: Option<&Silhouettes>) -> Vec<Finding> {
+    vec![points(data, silhouettes), bound(data)]
 }
 
-fn points(data: &Dataset) -> Finding {
+fn points(data: &Dataset, silhouettes: Option<&Silhouettes>) -> Finding {
     let init = init(data);
     let Some(points) = data.points.as_ref().filter(|p| !p.positions.is_empty()) else {
         let sources = StartFrom::ALL.iter().filter(|f| **f != StartFrom::Random);
-        let found = sources.clone().find(|f| data.start(Some(**f), 200, 0).is_ok());
+        let gives = |from: StartFrom| match (from, silhouettes) {
+            (StartFrom::Hull, Some(s)) => s.carved.gives_points(data),
+            _ => data.start(Some(from), 200, 0).is_ok(),
+        };
+        let found = sources.clone().find(|f| gives(**f));
         return match found {
             Some(StartFrom::Hull) => Finding::ok("init", "no points; the visual hull of alpha or masks gives them"),
             Some(from) => {
@@ -98,5 +101,5 @@ fn seen(data: &Dataset, [low, high]: [Vec3; 2]) -> f64 {
 fn init(data: &Dataset) -> String {
     let force =
         if gs_data::has_start_points(&data.root).unwrap_or(false) || data.bounds.is_some() { " -f" } else { "" };
-    format!("gs4d init {}{force}", data.root.display())
+    format!("gs4d init {}{force}", shell_quoted(data.root.display().to_string()))
 }

@@ -195,11 +195,15 @@ struct Check<'a> {
 
 impl<'a> Check<'a> {
     fn new(scene: &'a AvatarScene, rows: &[usize], shown: Vec<Shown>) -> Self {
-        let joints = dominant(scene);
-        let surfaces: Vec<Vec<Vec3>> = scene.frames.iter().map(|f| scene.posed(f)).collect();
+        let (joints, count) = (dominant(scene), scene.frames.len());
+        // Of a long film few poses are needed.
+        let needed: BTreeSet<usize> =
+            rows.iter().flat_map(|&row| SHIFTS.filter_map(move |by| later(row, by, count))).collect();
+        let surfaces: BTreeMap<usize, Vec<Vec3>> =
+            needed.into_par_iter().map(|row| (row, scene.posed(&scene.frames[row]))).collect();
         let of_camera = |views: &&[Shown]| {
-            let draw = |row: usize| draw(scene, &surfaces[row], &joints, &views[0].camera);
-            compare(views, rows, surfaces.len(), draw)
+            let draw = |row: usize| draw(scene, &surfaces[&row], &joints, &views[0].camera);
+            compare(views, rows, count, draw)
         };
         let same = |a: &Shown, b: &Shown| a.camera_id == b.camera_id && a.camera == b.camera;
         let cameras: Vec<&[Shown]> = shown.chunk_by(same).collect();
@@ -467,15 +471,19 @@ fn draw(scene: &AvatarScene, surface: &[Vec3], joints: &[u32], camera: &Camera) 
     Drawn { covered, outline, pixel: depth.max(NEAR) / camera.fx }
 }
 
+/// The row of a frame so many frames later, if there is one among `count`.
+fn later(row: usize, by: isize, count: usize) -> Option<usize> {
+    row.checked_add_signed(by).filter(|r| *r < count)
+}
+
 /// Of a view: the template with the pose of its own frame, how far apart they are, and how far with the poses of [`SHIFTS`].
 type Compared = (Drawn, (Apart, Vec<f64>));
 
 /// Compares the views of one camera, ascending in their frames, of which there are `count`. `draw` gives the template with the
 /// pose of a frame; it is asked once for each.
 fn compare(views: &[Shown], rows: &[usize], count: usize, draw: impl Fn(usize) -> Drawn + Sync) -> Vec<Compared> {
-    let shift = |row: usize, by: isize| row.checked_add_signed(by).filter(|r| *r < count);
     let own: BTreeSet<usize> = views.iter().map(|s| rows[s.frame]).collect();
-    let all: BTreeSet<usize> = own.iter().flat_map(|&row| SHIFTS.filter_map(move |by| shift(row, by))).collect();
+    let all: BTreeSet<usize> = own.iter().flat_map(|&row| SHIFTS.filter_map(move |by| later(row, by, count))).collect();
     let pose = |row: usize| {
         let drawn = draw(row);
         // Figures show the own frame alone.
@@ -487,7 +495,8 @@ fn compare(views: &[Shown], rows: &[usize], count: usize, draw: impl Fn(usize) -
         let row = rows[s.frame];
         let far = |row: usize| apart(s, &poses[&row]);
         let own = far(row);
-        let at = |by: isize| if by == 0 { own.mean } else { shift(row, by).map_or(f64::INFINITY, |r| far(r).mean) };
+        let at =
+            |by: isize| if by == 0 { own.mean } else { later(row, by, count).map_or(f64::INFINITY, |r| far(r).mean) };
         let shifted = SHIFTS.map(at).collect::<Vec<f64>>();
         (own, shifted)
     };

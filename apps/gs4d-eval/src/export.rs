@@ -3,7 +3,8 @@
 //! Files hold less than methods do. Non-Gaussian kernels become the nearest Gaussians; splats that a network decodes per camera
 //! (anchors) become their mean over the training cameras, with spherical harmonics fitted to their colours; motion becomes one
 //! file per timestamp. The loss of all this is measured by scoring renders of the bytes read back ([`AsExported`]). Files may be
-//! turned so that they stand upright in viewers ([`Baker::turned`]).
+//! turned so that they stand upright in viewers ([`Baker::turned`]). That a model is drawn anti-aliased is kept by `.ply` and `.spz` files
+//! and by pages; `.splat`, `.glb` and `.4dgs` files have no place for it, and their small splats are drawn too opaque.
 
 mod fit;
 mod player;
@@ -100,6 +101,11 @@ impl<'a> Baker<'a> {
         Self { turn, ..self }
     }
 
+    /// Whether the model is drawn anti-aliased, as its files say where their format can ([`SplatFormat::keeps_antialiased`]).
+    pub fn antialiased(&self) -> bool {
+        self.method.schedule().antialias
+    }
+
     /// The visible splats (opacity of at least 1/255) at a timestamp, with the raw parameters of files.
     ///
     /// # Errors
@@ -112,8 +118,9 @@ impl<'a> Baker<'a> {
             return Err(ExportError::Empty { time });
         }
         let raw = RawSplats::from_splats(&splats.rows(&visible));
-        let raw =
+        let mut raw =
             cut(raw.map_err(|source| ExportError::Splats { time, source })?, self.degree.unwrap_or(sh::MAX_DEGREE));
+        raw.antialiased = self.antialiased();
         Ok(match &self.turn {
             Some(turn) => raw.mapped(turn),
             None => raw,
@@ -236,13 +243,15 @@ impl<'a> AsExported<'a> {
         Ok(splats)
     }
 
-    /// Scores of the files on a split, as [`evaluate_with`](gs_train::evaluate::evaluate_with) scores the method.
+    /// Scores of the files on a split, as [`evaluate_with`](gs_train::evaluate::evaluate_with) scores the method, drawn as programs draw
+    /// that know splats alone: anti-aliased where the files say so.
     ///
     /// # Errors
     /// Those of the evaluation, and of [`Self::splats`].
     pub fn evaluate(&self, dataset: &Dataset, split: Split, scoring: &Scoring<'_>) -> Result<EvalReport, EvalError> {
         let splats = |at: &Timestamp, _: &Camera| self.splats(at).map_err(|e| MethodError::Render(e.to_string()));
-        evaluate_splats(self.baker.method, &splats, dataset, split, &Scoring { plain: true, ..*scoring })
+        let plain = Some(self.baker.antialiased() && self.format.keeps_antialiased());
+        evaluate_splats(self.baker.method, &splats, dataset, split, &Scoring { plain, ..*scoring })
     }
 
     fn round_trip(&self, at: &Timestamp) -> Result<RawSplats, ExportError> {

@@ -8,7 +8,7 @@
 
 use crate::Placing;
 use gs_core::{Camera, Image, Time, cast};
-use gs_data::{DataError, Dataset, ImageCache, Split};
+use gs_data::{DataError, Dataset, ImageCache, Split, moments};
 use gs_train::evaluate::{EvalError, EvalReport, ViewScores, clamped, evaluate};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
@@ -159,14 +159,14 @@ pub fn draw(method: &Model, renderer: &mut Renderer, camera: &Camera, time: Time
     Ok(Frame { image, motion_ms: ms(motion), render_ms: ms(start.elapsed()) })
 }
 
-/// Scores at one time: means over its views.
+/// Scores at one moment: means over its views, which cameras took almost together ([`gs_data::moments`]).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct TimestampScores {
-    /// Normalised time of the views.
+    /// Mean normalised time of the views.
     pub time: f64,
     /// Normalised time since the last training time.
     pub beyond: f64,
-    /// Number of views at this time.
+    /// Number of views of this moment.
     pub views: usize,
     /// Mean PSNR, dB; absent where all views are perfect.
     pub psnr: Option<f64>,
@@ -182,6 +182,8 @@ pub struct Truth {
     /// Scores of every view beyond the last training time.
     pub report: EvalReport,
     cameras: Vec<Camera>,
+    /// The moment of each view, normalised time.
+    moments: Vec<f32>,
 }
 
 impl Truth {
@@ -205,7 +207,7 @@ impl Truth {
         }
         let report = evaluate(method, &known, Split::Extrapolate, background, images)?;
         let cameras = known.extrapolate.iter().map(|v| images.camera(&placed(v))).collect();
-        Ok(Some(Self { report, cameras }))
+        Ok(Some(Self { report, cameras, moments: moments::of_views(&known.extrapolate) }))
     }
 
     /// The scores of the view with this camera and time, if there is one; `interval` is the time between frames.
@@ -214,15 +216,15 @@ impl Truth {
         self.report.views.iter().zip(&self.cameras).find(|(v, c)| near(v) && *c == camera).map(|(v, _)| v)
     }
 
-    /// Scores per time, ascending; `last` is the last training time.
+    /// Scores per moment, in order of time; `last` is the last training time, normalised.
     pub fn moments(&self, last: f64) -> Vec<TimestampScores> {
-        let mut views: Vec<&ViewScores> = self.report.views.iter().collect();
-        views.sort_by(|a, b| a.time.total_cmp(&b.time));
-        let of = |group: &[&ViewScores]| {
+        let mut views: Vec<(f32, &ViewScores)> = self.moments.iter().copied().zip(&self.report.views).collect();
+        views.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let of = |group: &[(f32, &ViewScores)]| {
             let mean = |value: fn(&ViewScores) -> Option<f64>| {
-                gs_metrics::Mean::of(group.iter().filter_map(|v| value(v))).value
+                gs_metrics::Mean::of(group.iter().filter_map(|(_, v)| value(v))).value
             };
-            let time = f64::from(group[0].time);
+            let time = f64::from(group[0].0);
             TimestampScores {
                 time,
                 beyond: time - last,
@@ -232,7 +234,7 @@ impl Truth {
                 masked_psnr: mean(|v| v.masked?.psnr),
             }
         };
-        views.chunk_by(|a, b| a.time == b.time).map(of).collect()
+        views.chunk_by(|a, b| a.0 == b.0).map(of).collect()
     }
 }
 
@@ -245,7 +247,32 @@ impl From<DataError> for ForecastError {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gs_data::View;
     use gs_synth::{SynthOptions, generate};
+    use gs_train::registry::section;
+    use gs_train::scene::SceneInfo;
+
+    /// Three cameras that see the same moments, each late by its own thousandth.
+    #[test]
+    fn cameras_that_are_not_quite_together_are_scored_as_one_moment() {
+        let o = SynthOptions { size: 24, cameras: 3, moments: 6, supersample: 1, ..SynthOptions::default() };
+        let mut data = generate("balls", &o).unwrap().dataset;
+        let entry = gs_methods::registry().find("static3d").unwrap();
+        let config = entry.config("tiny").unwrap();
+        let scene = SceneInfo::of(&data, &section("static3d", &config, "init").unwrap(), 0).unwrap();
+        let (model, images) = (entry.model(&config, &scene).unwrap(), ImageCache::new(16 << 20, 1.0));
+        let late = |view: &View| {
+            let normalised = view.time.normalised + 1e-3 * view.camera_id as f32;
+            View { time: Time { normalised, ..view.time }, ..view.clone() }
+        };
+        data.extrapolate = data.train.iter().map(late).collect();
+        let truth = Truth::of(&model, &data, 2.0, [0.0; 3], &images, &|view| view.clone()).unwrap().unwrap();
+        let moments = truth.moments(-0.5);
+        assert!(moments.len() > 2 && 3 * moments.len() == data.train.len(), "{moments:?}");
+        assert!(moments.iter().all(|m| m.views == 3), "{moments:?}");
+        assert!(moments.is_sorted_by(|a, b| a.time < b.time), "{moments:?}");
+        assert!(moments.iter().all(|m| m.beyond == m.time + 0.5), "{moments:?}");
+    }
 
     #[test]
     fn frames_follow_each_other_after_the_last_training_time() {

@@ -8,7 +8,7 @@ use std::process::ExitStatus;
 #[derive(Debug, thiserror::Error)]
 pub enum ImportError {
     /// A program is not installed.
-    #[error("{program} is not on the PATH")]
+    #[error("{program} is not on the PATH as a file that may be run")]
     Missing {
         /// Its name.
         program: &'static str,

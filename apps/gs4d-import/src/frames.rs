@@ -1,19 +1,25 @@
-//! Image files of cameras: frames of videos by ffmpeg, or copies of images; masks beside them.
+//! Image files of cameras: frames of videos by ffmpeg, or copies of images.
 
 use crate::error::ImportError;
-use crate::probe::{Video, input};
+use crate::probe::input;
 use crate::program::{Call, FFMPEG, Runner, Sink};
 use crate::rates::Cut;
 use gs_core::cast::{to_u32, to_usize};
 use gs_core::io::disk;
+use gs_data::decode::stored_size;
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Folders of images and masks in the data set.
 pub(crate) const IMAGES: &str = "images";
 pub(crate) const MASKS: &str = "masks";
 /// Image files that are read.
 pub(crate) const EXTENSIONS: [&str; 3] = ["jpg", "jpeg", "png"];
+/// Sizes that an error names.
+const SHOWN_SIZES: usize = 3;
 
 /// The name of a camera, from 0.
 pub(crate) fn camera_name(camera: usize) -> String {
@@ -92,42 +98,6 @@ impl Extraction<'_> {
     }
 }
 
-/// The video of masks for a video: the file of the same stem in a folder.
-pub(crate) fn mask_video(masks: &Path, video: &Path) -> Result<PathBuf, ImportError> {
-    let stem = video.file_stem().unwrap_or_default();
-    let entries = fs::read_dir(masks).map_err(ImportError::os("list the folder of masks", masks))?;
-    let film = video.canonicalize().ok();
-    let same = |p: &PathBuf| p.file_stem() == Some(stem) && p.is_file() && p.canonicalize().ok() != film;
-    let mut found: Vec<PathBuf> = entries.flatten().map(|e| e.path()).filter(same).collect();
-    found.sort();
-    let what = match &found[..] {
-        [one] => return Ok(one.clone()),
-        [] => format!("there is no video of masks for {}", video.display()),
-        [first, second, ..] => {
-            format!("{} and {} have the name of {}", first.display(), second.display(), video.display())
-        }
-    };
-    Err(ImportError::Input {
-        what,
-        path: masks.to_path_buf(),
-        why: "masks belong to videos by their names",
-        fix: format!("have one file {}.mp4 there: white counts, black does not", stem.to_string_lossy()),
-    })
-}
-
-/// Checks that frames of a video and of its masks are those of the same times.
-pub(crate) fn check_masks(video: &Video, masks: &Video, path: &Path) -> Result<(), ImportError> {
-    if (video.seconds - masks.seconds).abs() <= 2.0 / video.fps {
-        return Ok(());
-    }
-    Err(ImportError::Input {
-        what: format!("the masks last {:.2} s, their video {:.2} s", masks.seconds, video.seconds),
-        path: path.to_path_buf(),
-        why: "masks are taken at the times of the frames",
-        fix: "give masks of the whole video, at its rate".to_owned(),
-    })
-}
-
 /// Cameras of a folder of images: its own images are those of one, else those of each folder in it. Names and files, in order.
 pub(crate) fn cameras_of(folder: &Path) -> Result<Vec<(String, Vec<PathBuf>)>, ImportError> {
     let own = list(folder)?;
@@ -152,33 +122,53 @@ pub(crate) fn cameras_of(folder: &Path) -> Result<Vec<(String, Vec<PathBuf>)>, I
     Ok(cameras)
 }
 
-/// Copies the images of a camera, numbered in order; the masks of the same names with them.
+/// Refuses images of one camera that have several sizes: COLMAP finds one lens of one size for them, and leaves out the others.
+pub(crate) fn check_sizes(files: &[PathBuf]) -> Result<(), ImportError> {
+    let mut sizes: BTreeMap<[u32; 2], Vec<&PathBuf>> = BTreeMap::new();
+    for file in files {
+        sizes.entry(stored_size(file)?).or_default().push(file);
+    }
+    let mut groups: Vec<([u32; 2], Vec<&PathBuf>)> = sizes.into_iter().collect();
+    groups.sort_by_key(|(_, files)| Reverse(files.len()));
+    let [_, (_, others), ..] = &groups[..] else { return Ok(()) };
+    let words = |([width, height], files): &([u32; 2], Vec<&PathBuf>)| {
+        let first = files.first().and_then(|f| f.file_name()).unwrap_or_default().to_string_lossy().into_owned();
+        format!("{width}x{height} ({}, the first is {first})", files.len())
+    };
+    let shown: Vec<String> = groups.iter().take(SHOWN_SIZES).map(words).collect();
+    let more = if groups.len() > SHOWN_SIZES { " ..." } else { "" };
+    Err(ImportError::Input {
+        what: format!("images of one camera have {} sizes: {}{more}", groups.len(), shown.join(", ")),
+        path: others.first().map(|file| file.to_path_buf()).unwrap_or_default(),
+        why: "one lens of one size is found for the images of a camera, and images of other sizes have no place",
+        fix: "bring them to one size, or take the others away; with --unordered, images of each size in a folder of their own below that of \
+            --images are those of a camera each"
+            .to_owned(),
+    })
+}
+
+/// Copies the images of a camera, numbered in order, and their masks.
 pub(crate) fn copy(
-    files: &[PathBuf],
-    masks: Option<&Path>,
+    images: &[PathBuf],
+    masks: Option<&[PathBuf]>,
     data: &Path,
     work: &Path,
     camera: usize,
+    stop: &AtomicBool,
 ) -> Result<(), ImportError> {
-    // A stem may have dots.
-    let mask_of = |file: &PathBuf| {
-        let mut name = file.file_stem()?.to_os_string();
-        name.push(".png");
-        Some(masks?.join(name))
-    };
-    for (parent, is_mask) in [(IMAGES, false), (MASKS, true)] {
-        if is_mask && masks.is_none() {
-            continue;
-        }
+    for (parent, files) in [(IMAGES, Some(images)), (MASKS, masks)] {
+        let Some(files) = files else { continue };
         let (part, parent) = (work.join("frames"), data.join(parent));
         clear(&part)?;
         create(&part)?;
         create(&parent)?;
-        for (k, file) in files.iter().enumerate() {
-            let from = if is_mask { mask_of(file).unwrap_or_default() } else { file.clone() };
+        for (k, from) in files.iter().enumerate() {
+            if stop.load(Ordering::Relaxed) {
+                return Err(ImportError::Stopped { task: "copying images".to_owned() });
+            }
             let extension = from.extension().unwrap_or_default().to_string_lossy().to_lowercase();
             let to = part.join(format!("{k:05}.{extension}"));
-            fs::copy(&from, &to).map_err(ImportError::os("copy the image", &from))?;
+            fs::copy(from, &to).map_err(ImportError::os("copy the image", from))?;
         }
         let place = parent.join(camera_name(camera));
         disk::rename(&part, &place).map_err(ImportError::os("name the folder of images", &place))?;
@@ -291,20 +281,6 @@ mod tests {
     }
 
     #[test]
-    fn masks_are_one_other_file_of_the_name() {
-        let dir = tempfile::tempdir().unwrap();
-        let touch = |name: &str| fs::write(dir.path().join(name), "x").unwrap();
-        let film = dir.path().join("a.mp4");
-        ["a.mp4", "b.mp4"].iter().for_each(|name| touch(name));
-        assert!(mask_video(dir.path(), &film).unwrap_err().to_string().contains("no video of masks"), "not the film");
-        touch("a.mkv");
-        assert_eq!(mask_video(dir.path(), &film).unwrap(), dir.path().join("a.mkv"));
-        touch("a.json");
-        let e = mask_video(dir.path(), &film).unwrap_err().to_string();
-        assert!(e.contains("a.json") && e.contains("a.mkv"), "{e}");
-    }
-
-    #[test]
     fn cameras_are_folders_or_the_folder_itself() {
         let dir = tempfile::tempdir().unwrap();
         let touch = |name: &str| {
@@ -316,25 +292,27 @@ mod tests {
         let cameras = cameras_of(dir.path()).unwrap();
         assert_eq!((cameras.len(), cameras[0].1.len(), cameras[1].1.len()), (2, 1, 2));
         assert!(cameras[1].1[0].ends_with("right/2.JPG"));
-        copy(&cameras[1].1, None, dir.path(), &dir.path().join("work"), 1).unwrap();
-        assert!(dir.path().join("images/cam01/00001.jpg").is_file());
+        let (white, stop) = (vec![cameras[0].1[0].clone(); 2], AtomicBool::new(false));
+        copy(&cameras[1].1, Some(&white), dir.path(), &dir.path().join("work"), 1, &stop).unwrap();
+        assert!(["images/cam01/00001.jpg", "masks/cam01/00001.png"].iter().all(|file| dir.path().join(file).is_file()));
         touch("own.png");
         assert_eq!(cameras_of(dir.path()).unwrap().len(), 1);
     }
 
     #[test]
-    fn a_mask_has_the_whole_stem_of_its_image() {
+    fn images_of_another_size_are_named() {
         let dir = tempfile::tempdir().unwrap();
-        let [images, masks] = ["pictures", "white"].map(|name| dir.path().join(name));
-        [&images, &masks].iter().for_each(|folder| fs::create_dir(folder).unwrap());
-        let shots = ["shot.0001.png", "shot.0002.jpg"].map(|name| images.join(name));
-        shots.iter().for_each(|file| fs::write(file, "x").unwrap());
-        for stem in ["shot.0001", "shot.0002"] {
-            fs::write(masks.join(format!("{stem}.png")), stem).unwrap();
-        }
-        copy(&shots, Some(&masks), dir.path(), &dir.path().join("work"), 0).unwrap();
-        let read = |k: usize| fs::read_to_string(dir.path().join(format!("masks/cam00/{k:05}.png"))).unwrap();
-        assert_eq!([read(0), read(1)], ["shot.0001", "shot.0002"]);
+        let save = |(name, width, height): (&str, u32, u32)| {
+            let file = dir.path().join(name);
+            image::GrayImage::new(width, height).save(&file).unwrap();
+            file
+        };
+        let files = [("1.png", 6, 8), ("2.png", 8, 6), ("3.png", 8, 6), ("4.png", 6, 8), ("5.png", 8, 6)].map(save);
+        check_sizes(&files[1..3]).unwrap();
+        let e = check_sizes(&files).unwrap_err();
+        let text = e.to_string();
+        assert!(text.contains("2 sizes: 8x6 (3, the first is 2.png), 6x8 (2, the first is 1.png)"), "{text}");
+        assert!(matches!(&e, ImportError::Input { path, fix, .. } if *path == files[0] && fix.contains("--unordered")));
     }
 
     #[test]

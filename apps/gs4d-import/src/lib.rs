@@ -10,10 +10,12 @@
 //! | `probe`, `look` | size, rate and length of videos; whether a background stands still, how much changes |
 //! | [`clock`] | offsets between the clocks of a rig |
 //! | `rates`, `frames`, `take` | which frames; taking them |
+//! | `masks` | which mask belongs to which video or image |
 //! | `sharp` | blurred and duplicate frames |
 //! | `colmap`, `solve` | calls of COLMAP; cameras of a rig and of moving cameras |
 //! | `poses`, `write` | one pose per camera at rest, an upright world; the files |
-//! | `state` | `import.json` |
+//! | `settings`, `state` | what is imported, and how; `import.json` |
+//! | `own` | which files an import made, and their removal |
 //!
 //! ```no_run
 //! use gs4d_import::{Event, Settings, Source, import};
@@ -34,10 +36,13 @@ mod colmap;
 mod error;
 mod frames;
 mod look;
+mod masks;
+mod own;
 mod poses;
 mod probe;
 mod program;
 mod rates;
+mod settings;
 mod sharp;
 mod solve;
 mod state;
@@ -51,7 +56,8 @@ pub use error::ImportError;
 pub use look::Rig;
 pub use probe::Video;
 pub use rates::{Cut, Taking};
-pub use state::{LeftOut, Settings, Source};
+pub use settings::{Settings, Source};
+pub use state::LeftOut;
 
 use frames::camera_name;
 use program::Runner;
@@ -129,6 +135,8 @@ pub fn import(
     stop: &AtomicBool,
     tell: &mut dyn FnMut(Event<'_>),
 ) -> Result<Imported, ImportError> {
+    let sources = sources(source)?;
+    take::check(&sources, settings)?;
     let state = State::begin(data, source, settings, force)?;
     if let Some(done) = state.finished.clone().and_then(|f| serde_json::from_value(f).ok()) {
         tell(Event::Say("that import is done already"));
@@ -136,12 +144,12 @@ pub fn import(
     }
     let work = data.join(WORK);
     let runner = Runner { stop, log: work.join("log.txt") };
-    let mut job = Job { data, work, state, runner: &runner, sources: sources(source)?, threads, tell };
+    let mut job = Job { data, work, state, runner: &runner, sources, threads, tell };
     job.check_held_out()?;
     job.runner.find(program::COLMAP, "help")?;
     match source {
         Source::Videos(files) => job.videos(files)?,
-        Source::Images(_) => job.images()?,
+        Source::Images(folder) => job.images(folder)?,
     }
     job.leave_out()?;
     job.finish()

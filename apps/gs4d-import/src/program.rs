@@ -3,7 +3,7 @@
 
 use crate::error::ImportError;
 use std::ffi::OsString;
-use std::io::{Read, Write};
+use std::io::{ErrorKind, Read, Write};
 use std::path::PathBuf;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -103,7 +103,9 @@ impl Call {
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
         let Program { name, install } = self.program;
         command.spawn().map_err(|e| match e.kind() {
-            std::io::ErrorKind::NotFound if self.folder.is_dir() => ImportError::Missing { program: name, install },
+            ErrorKind::NotFound | ErrorKind::PermissionDenied if self.folder.is_dir() => {
+                ImportError::Missing { program: name, install }
+            }
             _ => ImportError::os("start a program in", &self.folder)(e),
         })
     }
@@ -304,7 +306,15 @@ mod tests {
     fn a_missing_program_is_named_with_its_package() {
         let program = Program { name: "gs4d-no-such-program", install: "apt install it" };
         let (stop, log) = (AtomicBool::new(false), PathBuf::from("/nowhere/log"));
-        let e = Runner { stop: &stop, log }.find(program, "-version").unwrap_err();
-        assert!(matches!(e, ImportError::Missing { install: "apt install it", .. }), "{e}");
+        let runner = Runner { stop: &stop, log };
+        let missing = |program: Program| {
+            let e = runner.find(program, "-version").unwrap_err();
+            assert!(matches!(e, ImportError::Missing { install: "apt install it", .. }), "{e}");
+        };
+        missing(program);
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("no-program");
+        std::fs::write(&file, "text").unwrap();
+        missing(Program { name: file.display().to_string().leak(), ..program });
     }
 }

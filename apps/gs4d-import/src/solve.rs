@@ -86,8 +86,9 @@ impl Job<'_> {
             match lots.first_mut().filter(|_| self.settings().same_lens) {
                 Some(lot) if lot.size == size => lot.names.extend(names),
                 Some(lot) => {
+                    let ([[w0, h0], [w, h]], name) = ([lot.size, size], camera_name(camera));
                     return Err(ImportError::Cameras {
-                        what: format!("images of one lens have sizes {:?} and {size:?}", lot.size),
+                        what: format!("images of one lens have sizes {w0}x{h0} and {w}x{h} ({name})"),
                         fix: "leave out --same-lens".to_owned(),
                     });
                 }
@@ -188,7 +189,8 @@ impl Job<'_> {
             false => format!("COLMAP could not place {}", lacking.join(", ")),
         };
         let fix = "cameras beside each other should differ by at most some 30 degrees and see a background with texture; for two or three cameras give \
-            their horizontal field of view with --fov DEGREES; --moments 8 takes more images of each; or leave those videos out; import/log.txt has what COLMAP said";
+            their horizontal field of view with --fov DEGREES; --moments 8 takes more images of each; \
+            or leave those videos out; import/log.txt has what COLMAP said";
         ImportError::Cameras { what, fix: fix.to_owned() }
     }
 

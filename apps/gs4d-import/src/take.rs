@@ -3,12 +3,13 @@
 use crate::error::ImportError;
 use crate::frames::{self, Extraction, scaled};
 use crate::look::{self, Rig};
+use crate::masks;
 use crate::probe::probe;
 use crate::program::{FFMPEG, FFPROBE};
 use crate::rates::{self, Cut};
-use crate::state::Settings;
-use crate::{Event, Job, clock};
-use std::path::PathBuf;
+use crate::settings::Settings;
+use crate::{CameraSource, Event, Job, clock};
+use std::path::{Path, PathBuf};
 
 /// Offsets of clocks that are looked for: at most this share of the shortest video, and so many seconds.
 const MAX_OFFSET_SHARE: f64 = 0.5;
@@ -21,6 +22,31 @@ const IMAGE_FPS: f64 = 30.0;
 /// A rate below this is worth a word, frames per second.
 const SLOW: f64 = 5.0;
 
+/// Fails, before anything is written, where settings do not fit the cameras, or images of one camera differ in size.
+pub(crate) fn check(sources: &[CameraSource], settings: &Settings) -> Result<(), ImportError> {
+    let count = sources.len();
+    if let Some(given) = settings.offsets.as_ref().filter(|given| given.len() != count) {
+        return Err(ImportError::Cameras {
+            what: format!("{} offsets are given for {count} videos", given.len()),
+            fix: "give one for each video, in their order: --offsets 0,0.25,-0.1".to_owned(),
+        });
+    }
+    settings.rig.map_or(Ok(()), |rig| check_places(rig, count))?;
+    sources.iter().try_for_each(|(_, files)| frames::check_sizes(files))
+}
+
+/// Fails where one camera stands still.
+fn check_places(rig: Rig, cameras: usize) -> Result<(), ImportError> {
+    if rig != Rig::Fixed || cameras > 1 {
+        return Ok(());
+    }
+    Err(ImportError::Cameras {
+        what: "one camera that stands still sees everything from one place".to_owned(),
+        fix: "give videos, or folders of images, of more cameras, or of one that moves (--rig moving if this one does)"
+            .to_owned(),
+    })
+}
+
 impl Job<'_> {
     /// Takes the frames of videos.
     pub(crate) fn videos(&mut self, files: &[PathBuf]) -> Result<(), ImportError> {
@@ -30,6 +56,10 @@ impl Job<'_> {
             self.state.videos = files.iter().map(|f| probe(self.runner, f)).collect::<Result<_, _>>()?;
             self.save()?;
         }
+        let masks = match &self.settings().masks {
+            Some(folder) if self.state.frames.len() < files.len() => masks::of_videos(files, folder)?,
+            _ => Vec::new(),
+        };
         self.watch(files)?;
         if self.state.cut.is_none() {
             let offsets = self.offsets(files)?;
@@ -38,7 +68,7 @@ impl Job<'_> {
             self.state.cut = Some(cut);
             self.save()?;
         }
-        self.extract(files)
+        self.extract(files, &masks)
     }
 
     /// Finds out what the cameras do, and how their clocks differ.
@@ -59,13 +89,7 @@ impl Job<'_> {
             Rig::Fixed => format!("{count} cameras that stand still ({why})"),
             Rig::Moving => format!("{count} moving camera{} ({why})", if count == 1 { "" } else { "s" }),
         });
-        if rig == Rig::Fixed && count == 1 {
-            return Err(ImportError::Cameras {
-                what: "one camera that stands still sees everything from one place".to_owned(),
-                fix: "give videos of more cameras, or one of a camera that moves (--rig moving if this one does)"
-                    .to_owned(),
-            });
-        }
+        check_places(rig, count)?;
         if rig == Rig::Fixed && needs_clock {
             self.state.clocks = Some(self.clocks(&looks));
         }
@@ -97,13 +121,7 @@ impl Job<'_> {
     /// The offsets that frames are taken with.
     fn offsets(&mut self, files: &[PathBuf]) -> Result<Vec<f64>, ImportError> {
         if let Some(given) = self.settings().offsets.clone() {
-            if given.len() == files.len() {
-                return Ok(given);
-            }
-            return Err(ImportError::Cameras {
-                what: format!("{} offsets are given for {} videos", given.len(), files.len()),
-                fix: "give one for each video, in their order: --offsets 0,0.25,-0.1".to_owned(),
-            });
+            return Ok(given);
         }
         let Some(clocks) = self.state.clocks.clone() else {
             if files.len() > 1 && self.settings().sync {
@@ -138,29 +156,23 @@ impl Job<'_> {
     }
 
     /// Takes the frames, and masks, of the cameras that have none yet.
-    fn extract(&mut self, files: &[PathBuf]) -> Result<(), ImportError> {
+    fn extract(&mut self, files: &[PathBuf], masks: &[PathBuf]) -> Result<(), ImportError> {
         let Some(cut) = self.state.cut.clone() else { return Ok(()) };
-        let Settings { scale, longest, masks, .. } = self.settings().clone();
+        let Settings { scale, longest, .. } = *self.settings();
         for (camera, file) in files.iter().enumerate().skip(self.state.frames.len()) {
-            let video = &self.state.videos[camera];
-            let size = scaled(video.size, scale, longest);
+            let size = scaled(self.state.videos[camera].size, scale, longest);
             let mut taken = Vec::new();
-            for is_mask in [false, true] {
-                let path = match (&masks, is_mask) {
-                    (None, true) => continue,
-                    (Some(folder), true) => {
-                        let path = frames::mask_video(folder, file)?;
-                        frames::check_masks(video, &probe(self.runner, &path)?, &path)?;
-                        path
-                    }
-                    _ => file.clone(),
-                };
+            for (path, is_mask) in [(Some(file), false), (masks.get(camera), true)] {
+                let Some(path) = path else { continue };
+                if is_mask {
+                    masks::check_length(&self.state.videos[camera], &probe(self.runner, path)?, path)?;
+                }
                 // A folder that an interruption left complete, but not written down.
                 self.state.clear_next(self.data, is_mask)?;
                 let what = format!("frames of {}", path.display());
                 let tell = &mut *self.tell;
                 let mut each = |done| tell(Event::Progress { what: &what, done, of: Some(cut.frames) });
-                let extraction = Extraction { video: &path, size, cut: &cut, camera, is_mask };
+                let extraction = Extraction { video: path, size, cut: &cut, camera, is_mask };
                 taken.push(extraction.run(self.runner, self.data, &self.work, &mut each)?);
             }
             self.state.frames.push(taken.into_iter().min().unwrap_or(0));
@@ -169,53 +181,71 @@ impl Job<'_> {
         self.check_counts()
     }
 
-    fn check_counts(&self) -> Result<(), ImportError> {
-        match self.state.frames.iter().position(|n| *n < 2) {
-            None => Ok(()),
-            Some(camera) => Err(ImportError::Input {
-                what: format!("{} frames of it were taken", self.state.frames[camera]),
-                path: self.sources[camera].0.clone(),
-                why: "motion is learnt from several",
-                fix: "see import/log.txt; a video that ends early may be damaged".to_owned(),
-            }),
+    /// Fails where a camera has too few frames to learn a motion from; says where a rig's cameras have not equally many.
+    fn check_counts(&mut self) -> Result<(), ImportError> {
+        let counts = self.state.frames.iter().copied();
+        if let (Some(Rig::Fixed), Some(least), Some(most)) = (self.state.rig, counts.clone().min(), counts.max())
+            && least < most
+        {
+            self.say(format!(
+                "warning: the cameras have {least} to {most} frames: those of one number are of one moment, and from number {least} on they are left out"
+            ));
         }
+        let few = self.state.frames.iter().position(|n| *n < 2).filter(|_| !self.settings().unordered);
+        let Some(camera) = few else { return Ok(()) };
+        let fix = match self.state.videos.is_empty() {
+            true => "give at least two images of each camera; of a scene at rest (--unordered) one is enough",
+            false => "see import/log.txt; a video that ends early may be damaged",
+        };
+        Err(ImportError::Input {
+            what: format!("the number of its frames is {}", self.state.frames[camera]),
+            path: self.sources[camera].0.clone(),
+            why: "motion is learnt from several",
+            fix: fix.to_owned(),
+        })
     }
 
     /// Copies the images of a folder.
-    pub(crate) fn images(&mut self) -> Result<(), ImportError> {
+    pub(crate) fn images(&mut self, folder: &Path) -> Result<(), ImportError> {
         let settings = self.settings().clone();
         self.state.images = self.sources.iter().map(|(_, files)| files.len()).collect();
         if self.state.rig.is_none() {
-            let many = self.sources.len() > 1;
-            let found = if many && !settings.unordered { Rig::Fixed } else { Rig::Moving };
-            self.state.why = match (settings.rig, many) {
-                (Some(_), _) => "as --rig says",
-                (None, true) if settings.unordered => "each took pictures in any order, in a folder of its own",
-                (None, true) => "one folder of images for each",
-                (None, false) => "one folder of images",
-            }
-            .to_owned();
-            let rig = settings.rig.unwrap_or(found);
-            self.state.rig = Some(rig);
-            self.say(format!("{} cameras ({})", self.sources.len(), self.state.why.clone()));
-            let fps = settings.taking.fps.unwrap_or(IMAGE_FPS);
-            self.state.cut = Some(Cut { fps, frames: 0, begins: vec![0.0; self.sources.len()], every: 1 });
-            self.save()?;
+            self.arrange(&settings)?;
         }
-        for camera in self.state.frames.len()..self.sources.len() {
-            let (path, files) = self.sources[camera].clone();
+        let done = self.state.frames.len();
+        let left: Vec<Vec<PathBuf>> = self.sources.iter().skip(done).map(|(_, files)| files.clone()).collect();
+        let masks = match &settings.masks {
+            None => Vec::new(),
+            Some(m) => left.iter().map(|files| masks::of_images(files, folder, m)).collect::<Result<Vec<_>, _>>()?,
+        };
+        for (k, files) in left.iter().enumerate() {
             for is_mask in [false, true] {
                 self.state.clear_next(self.data, is_mask)?;
             }
-            let own = settings.masks.as_ref().map(|m| match self.sources.len() {
-                1 => m.clone(),
-                _ => m.join(path.file_name().unwrap_or_default()),
-            });
-            frames::copy(&files, own.as_deref(), self.data, &self.work, camera)?;
+            let own = masks.get(k).map(Vec::as_slice);
+            frames::copy(files, own, self.data, &self.work, done + k, self.runner.stop)?;
             self.state.frames.push(files.len());
             self.save()?;
         }
         self.check_counts()
+    }
+
+    /// Finds out what the cameras of images do.
+    fn arrange(&mut self, settings: &Settings) -> Result<(), ImportError> {
+        let count = self.sources.len();
+        let many = count > 1;
+        let found = if many && !settings.unordered { Rig::Fixed } else { Rig::Moving };
+        let why = match (settings.rig, many) {
+            (Some(_), _) => "as --rig says",
+            (None, true) if settings.unordered => "each took pictures in any order, in a folder of its own",
+            (None, true) => "one folder of images for each",
+            (None, false) => "one folder of images",
+        };
+        (self.state.rig, self.state.why) = (Some(settings.rig.unwrap_or(found)), why.to_owned());
+        self.say(format!("{count} camera{} ({why})", if many { "s" } else { "" }));
+        let fps = settings.taking.fps.unwrap_or(IMAGE_FPS);
+        self.state.cut = Some(Cut { fps, frames: 0, begins: vec![0.0; count], every: 1 });
+        self.save()
     }
 }
 
@@ -223,46 +253,86 @@ impl Job<'_> {
 mod tests {
     use super::*;
     use crate::program::Runner;
-    use crate::state::{Source, State, WORK};
+    use crate::settings::Source;
+    use crate::state::{State, WORK};
     use std::fs;
     use std::sync::atomic::AtomicBool;
+
+    /// Writes grey images of a width; their height is 6.
+    fn save(pictures: &Path, images: &[(&str, u32)]) {
+        for (name, width) in images {
+            let file = pictures.join(name);
+            fs::create_dir_all(file.parent().unwrap()).unwrap();
+            image::GrayImage::new(*width, 6).save(file).unwrap();
+        }
+    }
+
+    /// Copies images as an import does.
+    fn copied(data: &Path, pictures: &Path, settings: &Settings) -> Result<State, ImportError> {
+        let (stop, log) = (AtomicBool::new(false), pictures.join("log"));
+        let runner = Runner { stop: &stop, log };
+        let source = Source::Images(pictures.to_path_buf());
+        let sources = crate::sources(&source)?;
+        check(&sources, settings)?;
+        let (work, state) = (data.join(WORK), State::begin(data, &source, settings, false)?);
+        let tell: &mut dyn FnMut(Event<'_>) = &mut |_| {};
+        let mut job = Job { data, work, state, runner: &runner, sources, threads: None, tell };
+        job.images(pictures)?;
+        Ok(job.state)
+    }
 
     #[test]
     fn of_the_next_camera_only_as_many_images_as_its_folder_has_are_replaced() {
         let dir = tempfile::tempdir().unwrap();
         let (pictures, data) = (dir.path().join("pictures"), dir.path().join("data"));
-        for file in ["a/1.png", "a/2.png", "b/1.png", "b/2.png", "b/3.png"].map(|file| pictures.join(file)) {
-            fs::create_dir_all(file.parent().unwrap()).unwrap();
-            fs::write(file, "x").unwrap();
-        }
-        let source = Source::Images(pictures);
-        let begin = |force| State::begin(&data, &source, &Settings::default(), force);
-        let (stop, log) = (AtomicBool::new(false), dir.path().join("log"));
-        let runner = Runner { stop: &stop, log };
-        let go_on = || {
-            let (work, state, sources) = (data.join(WORK), begin(false)?, crate::sources(&source)?);
-            let tell: &mut dyn FnMut(Event<'_>) = &mut |_| {};
-            Job { data: &data, work, state, runner: &runner, sources, threads: None, tell }.images()
-        };
+        save(&pictures, &["a/1.png", "a/2.png", "b/1.png", "b/2.png", "b/3.png"].map(|name| (name, 8)));
+        let settings = Settings::default();
+        let go_on = || copied(&data, &pictures, &settings);
         // Stopped after the second camera was copied, before that was written down.
-        let stopped = || {
-            let mut state = begin(false).unwrap();
+        let stopped = |mut state: State| {
             assert_eq!(state.frames, [2, 3]);
             state.frames.pop();
             state.save(&data).unwrap();
         };
-        go_on().unwrap();
-        stopped();
-        go_on().unwrap();
-        stopped();
+        stopped(go_on().unwrap());
+        stopped(go_on().unwrap());
         let mine = data.join("images/cam01/00003.png");
         fs::write(&mine, "mine").unwrap();
-        for e in [go_on().unwrap_err(), begin(true).unwrap_err()] {
+        let begin = || State::begin(&data, &Source::Images(pictures.clone()), &settings, true);
+        for e in [go_on().unwrap_err(), begin().unwrap_err()] {
             assert!(matches!(&e, ImportError::Input { path, .. } if *path == mine), "{e}");
         }
         assert_eq!(fs::read_to_string(&mine).unwrap(), "mine");
         fs::remove_file(&mine).unwrap();
-        begin(true).unwrap();
+        begin().unwrap();
         assert!(!data.join("images").exists());
+    }
+
+    #[test]
+    fn what_cannot_be_imported_is_refused_before_anything_is_copied() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        let usual = Settings::default();
+        save(&at("sizes"), &[("1.png", 8), ("2.png", 8), ("3.png", 9)]);
+        save(&at("one"), &[("1.png", 8), ("2.png", 8)]);
+        save(&at("few"), &[("a/1.png", 8), ("b/1.png", 9)]);
+        let fixed = Settings { rig: Some(Rig::Fixed), ..usual.clone() };
+        let masked = Settings { masks: Some(at("one")), ..usual.clone() };
+        let data = at("data");
+        for (pictures, settings, word) in [
+            ("sizes", &usual, "8x6 (2, the first is 1.png), 9x6 (1, the first is 3.png)"),
+            ("one", &fixed, "one place"),
+            ("one", &Settings { offsets: Some(vec![0.0, 0.2]), ..usual.clone() }, "2 offsets are given for 1 videos"),
+        ] {
+            let e = copied(&data, &at(pictures), settings).unwrap_err().to_string();
+            assert!(e.contains(word) && !data.exists(), "{e}");
+        }
+        let e = copied(&data, &at("one"), &masked).unwrap_err().to_string();
+        assert!(e.contains("no mask for") && !data.join("images").exists(), "{e}");
+        // Cameras may have sizes of their own, and of a scene at rest one image each.
+        let e = copied(&at("rig"), &at("few"), &usual).unwrap_err().to_string();
+        assert!(e.contains("number of its frames is 1"), "{e}");
+        let unordered = Settings { unordered: true, ..usual };
+        assert_eq!(copied(&at("room"), &at("few"), &unordered).unwrap().frames, [1, 1]);
     }
 }

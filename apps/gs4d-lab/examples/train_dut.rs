@@ -1,5 +1,6 @@
-//! Films the built-in person, trains DUT on it and prints scores where the person is, how well GeoNet knows the surface,
-//! and what each stage of a new frame takes.
+//! Films the built-in person, trains DUT on it and prints scores where the person is (ours, and those of papers on avatars,
+//! [`gs_metrics::person`]), sharpness over that of the images, how well GeoNet knows the surface, and what each stage of a new
+//! frame takes.
 //!
 //! ```text
 //! cargo run --release -p gs4d-lab --example train_dut -- [PRESET] [TEMPLATE] [KEY=VALUE ...]
@@ -13,9 +14,10 @@ use gs_core::io::images::save_png;
 use gs_core::{Image, Params};
 use gs_data::{Dataset, ImageCache, Split};
 use gs_method_texel::{Config, Dut, OffsetErrors, OracleOptions};
+use gs_metrics::Mean;
 use gs_raster::{Workspace, render};
 use gs_synth::avatar::{self, AvatarOptions};
-use gs_train::evaluate::{clamped, evaluate};
+use gs_train::evaluate::{ViewScores, clamped, evaluate};
 use gs_train::method::{Buffers, Method};
 use gs_train::model::Model;
 use gs_train::registry::{overlay, own_settings};
@@ -112,19 +114,31 @@ fn copy(from: &Model, to: &mut Dut) {
     to.buffers_mut(&mut |b| *b.values = buffers.next().unwrap_or_default());
 }
 
+/// Mean scores of a split, of the frames that training views show and of the others.
 fn print_scores(trainer: &Trainer, dataset: &Dataset, split: Split) -> Result<(), Box<dyn Error>> {
     let report = evaluate(trainer.model(), dataset, split, [0.0; 3], &ImageCache::new(256 << 20, 1.0))?;
     let trained: Vec<f32> = dataset.train.iter().map(|v| v.time.normalised).collect();
-    let mean = |seen: bool| {
-        let views = report.views.iter().filter(|v| trained.contains(&v.time) == seen);
-        let values: Vec<f64> = views.filter_map(|v| v.masked?.psnr).collect();
-        (values.iter().sum::<f64>() / values.len() as f64, values.len())
-    };
-    let ((seen, a), (unseen, b)) = (mean(true), mean(false));
-    let whole = report.mean.psnr.unwrap_or(f64::INFINITY);
-    println!(
-        "{split:?}: in-mask PSNR {seen:.2} dB over {a} views of trained frames, {unseen:.2} dB over {b} of others; whole picture {whole:.2} dB"
-    );
+    for (frames, seen) in [("trained frames", true), ("other frames", false)] {
+        let views: Vec<&ViewScores> = report.views.iter().filter(|v| trained.contains(&v.time) == seen).collect();
+        if views.is_empty() {
+            continue;
+        }
+        // NaN where no view has the score.
+        let mean = |score: fn(&ViewScores) -> Option<f64>| {
+            Mean::of(views.iter().filter_map(|v| score(v))).value.unwrap_or(f64::NAN)
+        };
+        println!(
+            "{split:?}, {} views of {frames}: in-mask PSNR {:.2} dB, whole picture {:.2} dB, f-psnr {:.2} dB, box-ssim {:.4}, \
+             sharpness {:.3} (Laplacian) {:.3} (high band)",
+            views.len(),
+            mean(|v| v.masked?.psnr),
+            mean(|v| v.psnr),
+            mean(|v| v.masked?.frame_psnr),
+            mean(|v| v.masked?.box_ssim),
+            mean(|v| v.laplacian_ratio),
+            mean(|v| v.high_band_ratio),
+        );
+    }
     Ok(())
 }
 

@@ -2,27 +2,34 @@
 //!
 //! Every row has a median time and an error against the f64 reference or a closed form; some have PyTorch's time for the same
 //! operation ([`PYTORCH`]). The crates' own benches are more thorough; these run in seconds and need nothing but the program.
+//! Longer ones are [`growth()`], [`frames()`] and [`approximations()`].
 
+mod approximations;
 mod dense;
 mod field;
+mod growth;
 mod image;
 mod networks;
 mod optimiser;
 mod physics;
 mod raster;
 mod stages;
-mod variants;
 
+pub use approximations::approximations;
+pub use growth::{frames, growth};
 pub use raster::{Memory, memory};
 pub use stages::{STAGES, Stage, StageOptions, StageTimes, stage_times};
 
+use crate::people::LabError;
 use gs_core::Params;
 use gs_core::nn::gemm::roof;
 use gs_core::speed::{BenchRow, median_seconds};
 use gs_raster::SimdLevel;
 use gs_raster::measure::Roofline;
 use gs_train::adam::{Adam, Refused};
+use gs_train::registry::{MethodEntry, overlay};
 use serde::Serialize;
+use std::time::Instant;
 
 /// Where PyTorch's times are from.
 pub const PYTORCH: &str = "PyTorch's times are of November 2026, on two threads of two cores of a Sapphire-Rapids-class Xeon \
@@ -133,6 +140,24 @@ impl Case {
             error_kind: self.error_kind,
         }
     }
+}
+
+/// Least milliseconds of `calls` calls, after one that is not timed.
+fn least_ms(calls: usize, mut work: impl FnMut()) -> f64 {
+    work();
+    let seconds = (0..calls).map(|_| {
+        let start = Instant::now();
+        work();
+        start.elapsed().as_secs_f64()
+    });
+    1e3 * seconds.fold(f64::INFINITY, f64::min)
+}
+
+/// A preset of a method with TOML laid over it.
+fn settings(entry: &MethodEntry, preset: &str, over: &str) -> Result<toml::Table, LabError> {
+    let mut config = entry.config(preset)?;
+    overlay(&mut config, over.parse().map_err(|e: toml::de::Error| LabError::Unfit(e.to_string()))?);
+    Ok(config)
 }
 
 /// `|a − b|₂ / |b|₂`; 0 where both are zero.

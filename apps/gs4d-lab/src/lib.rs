@@ -2,7 +2,8 @@
 //!
 //! * [`contest`]: methods or settings under equal conditions; [`sweep`]: contests of one setting at several values.
 //! * [`continual`]: training while more of a sequence arrives.
-//! * [`people`]: avatars (method `dut`): texture sizes, wrong poses, fewer views, unseen motion and light, ablations.
+//! * [`people`]: avatars (method `dut`): texture sizes, visibility, wrong poses, fewer views, contact, loose clothing, unseen motion
+//!   and light, ablations.
 //! * [`glmd`]: the motion added by each stage of a method, in images and numbers (MoDec-GS, figures 8 and 9).
 //! * [`mod@bench`]: speed against error on this machine.
 #![warn(unreachable_pub)]

@@ -1,4 +1,4 @@
-//! `mpirun -n N gs4d-mpi`: the bits of one rank, resuming with other numbers of ranks, ranks that are killed.
+//! `mpirun -n N gs4d-mpi`: the bits of one rank, resuming with other numbers of ranks, ranks that fail or are killed.
 //!
 //! Needs Open MPI and the cargo feature:
 //! ```text
@@ -10,7 +10,7 @@ use gs_synth::SynthOptions;
 use gs_synth::avatar::{self, AvatarOptions};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 const STEPS: u32 = 40;
 
@@ -233,16 +233,52 @@ fn a_job_that_is_told_to_stop_is_saved() {
     let words = place.train("fourdgs", "stopped", 1000, &["--continue", "--set", "run.checkpoint_every=100000"]);
     let mut job = on_ranks(3, &words).stderr(Stdio::null()).spawn().unwrap();
     let begun = place.root.join("stopped/log.jsonl");
-    while std::fs::metadata(&begun).map_or(0, |log| log.len()) == 0 {
-        assert!(job.try_wait().unwrap().is_none(), "the job ended");
-        std::thread::sleep(Duration::from_millis(5));
-    }
+    wait_until(&mut job, || std::fs::metadata(&begun).is_ok_and(|log| log.len() > 0));
     assert!(Command::new("kill").args(["-USR1", &job.id().to_string()]).status().unwrap().success());
     assert_eq!(job.wait().unwrap().code(), Some(130));
     let step = newest_step(&place.root.join("stopped/checkpoints")).expect("a checkpoint");
     assert!(step < 1000, "{step}");
     good(2, &words);
     assert!(tensors(&place.root.join("whole")) == tensors(&place.root.join("stopped")));
+}
+
+/// Waits until a running job has come so far.
+fn wait_until(job: &mut Child, come: impl Fn() -> bool) {
+    while !come() {
+        assert!(job.try_wait().unwrap().is_none(), "the job ended");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// What a job ends with, which it does within a minute.
+fn ended(mut job: Child) -> Output {
+    let begun = Instant::now();
+    while job.try_wait().unwrap().is_none() {
+        if begun.elapsed() > Duration::from_secs(60) {
+            Command::new("kill").arg(job.id().to_string()).status().unwrap();
+            panic!("the job hangs");
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    job.wait_with_output().unwrap()
+}
+
+/// Every step draws all seven views; the last of three ranks has the last of them, and decodes it in each.
+#[test]
+#[ignore = "needs Open MPI: cargo test -p gs4d-mpi --features mpi -- --ignored"]
+fn a_rank_that_fails_in_a_step_ends_the_job_with_its_name_and_the_reason() {
+    let place = place();
+    let more = ["--set", "schedule.batch=7", "--set", "run.checkpoint_every=2", "--image-cache", "0"];
+    let words = place.train("fourdgs", "run", 100_000, &more);
+    let mut job = on_ranks(3, &words).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    let checkpoints = place.root.join("run/checkpoints");
+    wait_until(&mut job, || newest_step(&checkpoints).is_some());
+    std::fs::remove_file(place.root.join("data/train/r_006.png")).unwrap();
+    let output = ended(job);
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(3), "{error}");
+    assert!(error.contains("rank 2: ") && error.contains("r_006.png"), "{error}");
+    gs_train::checkpoint::load_newest(&checkpoints).expect("a good checkpoint");
 }
 
 /// The processes of a job, when all are there.

@@ -4,7 +4,7 @@ use crate::fit::{Bounds, add};
 use crate::frames::{Frames, Tolerance, aligned, mean_coefficient, sizes};
 use crate::stream::{Reader, Writer};
 use crate::track::Track;
-use crate::words::knot;
+use crate::words::{knot, unit};
 use glam::Vec3;
 use gs_core::{Camera, Color, Kernel, Splats, cast, rot, sh};
 use serde::{Deserialize, Serialize};
@@ -25,6 +25,24 @@ pub struct Layer {
     pub colors: Vec<[u8; 3]>,
 }
 
+/// How a clip is drawn; as in `gs_raster::RasterOptions`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Drawing {
+    /// Splats whose centre is no deeper in front of the camera are not drawn, world units.
+    pub near: f64,
+    /// Added to the variances of projected splats, pixels².
+    pub dilation: f64,
+    /// Whether opacities make up for the dilation, as in Mip-Splatting.
+    pub antialias: bool,
+}
+
+impl Default for Drawing {
+    /// 3D Gaussian Splatting's, but for gsplat's near plane.
+    fn default() -> Self {
+        Self { near: 0.01, dilation: 0.3, antialias: false }
+    }
+}
+
 /// A moving scene whose error is bounded by a [`Tolerance`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clip {
@@ -35,6 +53,7 @@ pub struct Clip {
     harmonics: Option<(u8, Vec<i8>)>,
     knots: Option<Knots>,
     layers: Vec<Layer>,
+    drawing: Drawing,
 }
 
 /// Knot and value of the kernel of each splat, see [`crate::words`].
@@ -60,6 +79,8 @@ struct Head {
     degree: Option<u8>,
     kernel: Option<Kind>,
     layers: Vec<(String, String)>,
+    #[serde(default)]
+    drawing: Drawing,
 }
 
 const VERSION: u32 = 1;
@@ -100,7 +121,18 @@ impl Clip {
         };
         let of = |i| middle.kernel.bend(i).map_or([128; 2], knot);
         let knots = kind.map(|kind| Knots { kind, of: (0..count).map(of).collect() });
-        Self { times: frames.times.clone(), tracks, harmonics, knots, layers: Vec::new() }
+        let (layers, drawing) = (Vec::new(), Drawing::default());
+        Self { times: frames.times.clone(), tracks, harmonics, knots, layers, drawing }
+    }
+
+    /// The same, drawn in another way than by default.
+    pub fn drawn(self, drawing: Drawing) -> Self {
+        Self { drawing, ..self }
+    }
+
+    /// How the page draws it.
+    pub fn drawing(&self) -> Drawing {
+        self.drawing
     }
 
     /// The same with layers, each with a colour for every splat; others are left out.
@@ -192,6 +224,7 @@ impl Clip {
             degree: self.harmonics.as_ref().map(|h| h.0),
             kernel: self.knots.as_ref().map(|k| k.kind),
             layers: self.layers.iter().map(|l| (l.name.clone(), l.meaning.clone())).collect(),
+            drawing: self.drawing,
         };
         let text = serde_json::to_vec(&head)?;
         let mut out = Writer::default();
@@ -239,7 +272,7 @@ impl Clip {
             layers.push(Layer { name, meaning, colors: unplaned(&mut from, count, 3)?.as_chunks().0.to_vec() });
         }
         match from.0 {
-            [] => Ok(Self { times: head.times, tracks, harmonics, knots, layers }),
+            [] => Ok(Self { times: head.times, tracks, harmonics, knots, layers, drawing: head.drawing }),
             rest => Err(format!("{} bytes too many", rest.len())),
         }
     }
@@ -247,7 +280,7 @@ impl Clip {
 
 /// A share of 1 rounded to 8 bits, as the page keeps it.
 fn in_bytes(v: f32) -> f32 {
-    (v.clamp(0.0, 1.0) * 255.0).round() / 255.0
+    f32::from(unit(v)) / 255.0
 }
 
 /// Colour of degree 0 of a splat.

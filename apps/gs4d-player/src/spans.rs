@@ -20,7 +20,8 @@ const ATTRIBUTES: [&str; 2] = ["gs4d_first_time", "gs4d_seconds"];
 
 /// A moving scene as Gaussians with one velocity each, visible from a time to another and constant but for that: what the temporal model
 /// `gaussian-birth` of `.4dgs` files says (Avala AI, 2026, specification version 1, section 3). A splat becomes as many of them as its
-/// motion needs. Colours of degree 0 are clamped to 0..1, harmonics above it are their mean over time.
+/// motion needs. Colours of degree 0 are clamped to 0..1, harmonics above it are their mean over time. The format does not say how splats
+/// are drawn: small ones of a scene that is drawn anti-aliased are too opaque.
 pub struct Spans {
     gaussians: GaussianSet,
     /// Normalised time at 0 s.

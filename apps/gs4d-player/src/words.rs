@@ -59,8 +59,9 @@ fn unit_quat(q: [f32; 4]) -> [f32; 4] {
     if unit == [0.0; 4] { [1.0, 0.0, 0.0, 0.0] } else { unit }
 }
 
-fn unit(v: f32) -> u8 {
-    cast::to_u8(v.clamp(0.0, 1.0) * 255.0 + 0.5)
+/// A share of 1 as a byte: clamped to 0 to 1 and rounded to the nearest.
+pub fn unit(v: f32) -> u8 {
+    cast::to_u8((v.clamp(0.0, 1.0) * 255.0).round())
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "the value is within ±32767")]

@@ -115,11 +115,17 @@ impl Run {
         Ok(views.iter().map(|(name, camera, time)| (name.clone(), of(camera), *time)).collect())
     }
 
-    /// All splats at a normalised time, in the same order at every time.
+    /// All splats at a normalised time, in the same order at every time, and how they are drawn.
     fn splats<'py>(&self, py: Python<'py>, t: f64, camera: Option<Matrices>) -> PyResult<Bound<'py, PyDict>> {
         let (at, camera, pool) = (timestamp(t)?, py.detach(|| self.camera(camera))?, pool(None)?);
-        let splats = py.detach(|| pool.install(|| self.run.loaded.model.all_splats(&at, &camera))).map_err(error)?;
-        columns(py, splats)
+        let model = &self.run.loaded.model;
+        let splats = py.detach(|| pool.install(|| model.all_splats(&at, &camera))).map_err(error)?;
+        let out = columns(py, splats)?;
+        let options = model.raster_options([0.0; 3]);
+        out.set_item("near_plane", options.near)?;
+        out.set_item("eps2d", options.dilation)?;
+        out.set_item("rasterize_mode", if options.antialias { "antialiased" } else { "classic" })?;
+        Ok(out)
     }
 
     /// Colour, alpha and depth of an image at a normalised time.

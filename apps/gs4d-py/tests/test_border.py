@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import gs4d
+from gs4d._arguments import IGNORED, REFUSED, refuse
 from scenes import scene
 
 
@@ -28,6 +29,7 @@ def drawn(**changes):
     ({"means": [[0, 0, 1]]}, TypeError, "means must be an array of float32 (fast) or float64 (the reference), not list"),
     ({"means": np.zeros((6, 3), np.int64)}, TypeError, "not int64"),
     ({"means": np.zeros((6, 2), np.float32)}, ValueError, "means must have shape [N, 3], not [6, 2]"),
+    ({"means": np.zeros((2, 6, 3), np.float32)}, ValueError, "not [2, 6, 3]: leading batch dimensions are not supported"),
     ({"quats": np.ones((5, 4), np.float32)}, ValueError, "quats must have shape [N = 6, 4], not [5, 4]"),
     ({"quats": np.ones((6, 4))}, TypeError, "quats must be float32 as means are, not float64"),
     ({"scales": np.full((6, 3), np.nan, np.float32)}, ValueError, "scales, row 0: NaN is not finite"),
@@ -56,7 +58,7 @@ def drawn(**changes):
     ({"max_alpha": 1.0}, ValueError, "max_alpha = 1"),
     ({"constants": "INRIA"}, ValueError, "constants = 'INRIA' is not supported: use one of gsplat, inria"),
     ({"threads": 0}, ValueError, "threads = 0"),
-    ({"camera_model": "fisheye"}, ValueError, "camera_model = 'fisheye' is not supported: undistort the images first"),
+    ({"camera_model": "fisheye"}, ValueError, "camera_model = 'fisheye' is not supported: only pinhole cameras are drawn"),
     ({"covars": np.zeros((6, 3, 3))}, ValueError, "is not supported: give quats and scales"),
     ({"sparse_grad": True}, ValueError, "sparse_grad = True is not supported"),
     ({"distributed": True}, ValueError, "distributed = True is not supported"),
@@ -70,6 +72,19 @@ def test_what_does_not_fit_is_refused_by_name(change, kind, text):
     with pytest.raises(kind) as error:
         drawn(**change)
     assert text in str(error.value)
+
+
+@pytest.mark.parametrize("name, default", [(name, default) for name, (default, _) in REFUSED.items()])
+def test_every_argument_that_is_not_supported_is_refused_by_name(name, default):
+    refuse({name: default})
+    refuse({name: None})
+    with pytest.raises(ValueError, match=f"^{name} = "):
+        refuse({name: not default if isinstance(default, bool) else "something else"})
+
+
+def test_arguments_of_gpus_have_no_effect():
+    images = [drawn(**changes)[0] for changes in ({}, dict.fromkeys(IGNORED[-1:], True), {"packed": False, "tile_size": 32})]
+    assert all((image == images[0]).all() for image in images)
 
 
 @pytest.mark.parametrize("bad, kind", [

@@ -22,7 +22,8 @@ def folder(tmp_path_factory):
         assert done.returncode == 0, done.stderr
 
     gs4d_program("synth", "balls", "-o", "data", "--size", "32", "--train-views", "6", "--val-views", "1", "--test-views", "2")
-    gs4d_program("train", "data", "-m", "fourdgs", "--preset", "tiny", "--steps", "20", "-o", "run")
+    drawn = ("--set", "schedule.antialias=true", "--set", "schedule.dilation=0.1")
+    gs4d_program("train", "data", "-m", "fourdgs", "--preset", "tiny", "--steps", "20", *drawn, "-o", "run")
     gs4d_program("export", "run", "-o", "scene.gs4d")
     return root
 
@@ -41,6 +42,7 @@ def test_a_run_and_its_compact_file(folder):
     assert gs4d.psnr(compact.render(**place, t=view["t"])["colors"], image["colors"]) > 30
 
     splats = run.splats(view["t"], view)
+    assert (splats["rasterize_mode"], splats["eps2d"]) == ("antialiased", 0.1)
     renders, alphas, _ = gs4d.rasterization(
         **splats, viewmats=place["viewmat"][None].astype(np.float32), Ks=place["K"][None].astype(np.float32), width=32,
         height=32, backgrounds=run.background[None])

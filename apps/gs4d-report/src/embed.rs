@@ -10,7 +10,7 @@ use image::{ExtendedColorType, ImageEncoder};
 use std::borrow::Cow;
 
 /// Longest side of an image in a page, pixels.
-const MAX_SIDE: usize = 640;
+pub const IMAGE_SIDE: usize = 640;
 /// An RGB image of more bytes than this as PNG is embedded as JPEG.
 const MAX_PNG_BYTES: usize = 96 << 10;
 /// JPEG qualities, tried until one gives at most [`MAX_PNG_BYTES`] bytes; the last one is used in any case.
@@ -26,7 +26,7 @@ pub(super) struct Inline {
 impl Inline {
     /// Encodes an image of 1, 3 or 4 channels; large ones are downsampled, and encoded as JPEG where PNG takes too much.
     pub(super) fn of(image: &Image) -> Result<Self, ReportError> {
-        let image = reduced(image, MAX_SIDE);
+        let image = reduced(image, IMAGE_SIDE);
         let (width, height, channels) = image.shape();
         let mut bytes = png(&image)?;
         let mut kind = "png";
@@ -57,6 +57,16 @@ pub(super) fn reduced(image: &Image, most: usize) -> Cow<'_, Image> {
         }
     }
     Cow::Owned(small)
+}
+
+/// The image as a page shows it at a longest side of `most` pixels: box-filtered if it is larger. A report that waits for its page holds
+/// no more of it.
+pub fn within(image: Image, most: usize) -> Image {
+    let small = match reduced(&image, most) {
+        Cow::Owned(small) => Some(small),
+        Cow::Borrowed(_) => None,
+    };
+    small.unwrap_or(image)
 }
 
 /// Encodes an RGB image as JPEG of the best quality that is small enough.
@@ -133,6 +143,8 @@ mod tests {
         let small = reduced(&Image { width: 1280, height: 2, channels: 3, data: stripes }, 640).into_owned();
         assert_eq!(small.shape(), (640, 1, 3));
         assert!(small.data.iter().all(|v| (v - 0.5).abs() < 1e-6), "means over areas");
+        let held = within(large.clone(), IMAGE_SIDE);
+        assert_eq!((held.width, Inline::of(&held).unwrap().address), (640, inline.address), "the same on the page");
         let flat = Inline::of(&Image { width: 2, height: 3, channels: 1, data: vec![0.5; 6] }).unwrap();
         assert!((flat.width, flat.height) == (2, 3) && flat.address.starts_with("data:image/png;base64,"));
     }

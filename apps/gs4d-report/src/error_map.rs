@@ -28,9 +28,9 @@ impl ErrorScale {
     /// The smallest scale that holds 99.5 % of the pixels of some error maps.
     pub(crate) fn of<'a>(errors: impl IntoIterator<Item = &'a Image>) -> Self {
         let mut all: Vec<f32> = errors.into_iter().flat_map(|e| &e.data).copied().filter(|v| v.is_finite()).collect();
-        all.sort_by(f32::total_cmp);
-        let held = all.get(((all.len() as f64 * COVERED_SHARE) as usize).min(all.len().saturating_sub(1)));
-        let held = f64::from(held.copied().unwrap_or(0.0)).clamp(1e-4, 1.0);
+        let rank = ((all.len() as f64 * COVERED_SHARE) as usize).min(all.len().saturating_sub(1));
+        let held = if all.is_empty() { 0.0 } else { *all.select_nth_unstable_by(rank, f32::total_cmp).1 };
+        let held = f64::from(held).clamp(1e-4, 1.0);
         let power = 10f64.powf(held.log10().floor());
         let round = [1.0, 2.0, 5.0].into_iter().find(|m| m * power >= held * (1.0 - 1e-6));
         Self { top: (round.unwrap_or(10.0) * power) as f32 }

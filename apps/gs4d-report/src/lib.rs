@@ -32,10 +32,11 @@ pub mod storage;
 pub mod views;
 
 pub use chart::{Curve, Scale};
-pub use embed::png;
+pub use embed::{IMAGE_SIDE, png, within};
 pub use gs_train::report::ReportRow;
 pub use heat::HeatMap;
-pub use overlay::{Legend, OverlayFigure};
+pub use overlay::{Legend, OVERLAY_SIDE, OverlayFigure};
+pub use page::STRIP_SIDE;
 pub use ramp::Ramp;
 
 use crate::storage::Storage;
@@ -150,7 +151,7 @@ pub struct Comparison {
 pub struct Still {
     /// For example `t = 0.25`.
     pub caption: String,
-    /// The image, `[H, W, 3]`.
+    /// The image, `[H, W, 3]`; [`within`] the size at which it is shown, where it is held for long.
     pub image: Image,
 }
 

@@ -9,7 +9,7 @@ use gs_core::Image;
 use std::fmt::Write as _;
 
 /// Longest side of an overlay, pixels.
-const MAX_SIDE: usize = 400;
+pub const OVERLAY_SIDE: usize = 400;
 
 /// A render coloured by an attribute, a direction, or parts.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,7 +43,7 @@ pub(crate) fn overlays(remark: &str, figures: &[OverlayFigure], more: &str) -> R
     let mut out = String::new();
     for f in figures {
         let alt = format!("the scene in the colours of {}", f.name);
-        let _ = writeln!(out, "<figure>{}", inline_image(&reduced(&f.image, MAX_SIDE), &alt)?);
+        let _ = writeln!(out, "<figure>{}", inline_image(&reduced(&f.image, OVERLAY_SIDE), &alt)?);
         let _ = writeln!(out, "<figcaption>{}</figcaption>", escape(&f.name));
         out += &f.histogram.as_ref().map_or(String::new(), bars);
         out += &legend(&f.legend);

@@ -13,7 +13,7 @@ use super::{Comparison, Figure, Report, ReportError, Sample};
 use std::fmt::Write as _;
 
 /// Longest side of an image of the strip, pixels.
-const MAX_STRIP_SIDE: usize = 320;
+pub const STRIP_SIDE: usize = 320;
 /// A table of more cameras is folded.
 const MAX_CAMERAS: usize = 8;
 
@@ -53,7 +53,7 @@ fn views(heading: &str, conditions: &str, views: &[Comparison]) -> Result<String
 fn times(report: &Report) -> Result<String, ReportError> {
     let mut strip = String::new();
     for still in &report.strip {
-        strip += &captioned(&reduced(&still.image, MAX_STRIP_SIDE), &still.caption)?;
+        strip += &captioned(&reduced(&still.image, STRIP_SIDE), &still.caption)?;
     }
     let chart = over_time("PSNR of each view, dB", &report.over_time, report.training_times)?;
     let rows = report.cameras.iter().map(|r| r.to_vec());

@@ -42,10 +42,10 @@ pub struct Listed {
     /// `METHOD:PRESET` that the trainings had and that has changed since.
     #[serde(default)]
     pub older_than: Vec<String>,
-    /// How the cells show the spread of the seeds; absent where they do not, or where the rows differ.
+    /// How the cells show the spread of the seeds; absent where they do not, where the rows differ, or where nothing is drawn by chance.
     #[serde(default)]
     pub spread: Option<Spread>,
-    /// Which scenes its settings met before; absent where the document does not say, or where the table has both kinds.
+    /// Which scenes its settings met before; absent where the document does not say.
     #[serde(default)]
     pub scenes: Option<Scenes>,
 }
@@ -62,6 +62,9 @@ pub enum Spread {
     /// ± half of an interval of 95 %.
     #[serde(rename = "95 %")]
     Interval,
+    /// Not at all: every figure is of one run.
+    #[serde(rename = "one run")]
+    OneRun,
 }
 
 /// Which scenes the settings of a table met before.
@@ -73,6 +76,9 @@ pub enum Scenes {
     /// None was chosen on these.
     #[serde(rename = "held out")]
     HeldOut,
+    /// Of both kinds; the document says which rows are of which.
+    #[serde(rename = "tuning and held out")]
+    Both,
 }
 
 /// Words of commands that train or use a trained method. Crates below those of the methods have no presets.
@@ -101,7 +107,7 @@ impl Listed {
         if trains && self.presets.is_empty() && self.older_than.is_empty() {
             faults.push(Finding::NoPreset { table: table.clone() });
         }
-        if self.spread.is_some() && self.seeds.len() < 2 {
+        if self.spread.is_some_and(|spread| (spread == Spread::OneRun) != (self.seeds.len() < 2)) {
             faults.push(Finding::NoSpread { table: table.clone() });
         }
         let commit = self.commit.clone().unwrap_or_default();
@@ -160,7 +166,7 @@ pub enum Finding {
         /// `FILE: HEAD`.
         table: String,
     },
-    /// A table with a spread of fewer than two seeds.
+    /// A table with a spread of fewer than two seeds, or of one run with several.
     NoSpread {
         /// `FILE: HEAD`.
         table: String,
@@ -192,7 +198,7 @@ impl fmt::Display for Finding {
             }
             Self::NoCommit { table } => write!(f, "{table}: no commit, and not marked as exact"),
             Self::NoPreset { table } => write!(f, "{table}: trainings without a preset"),
-            Self::NoSpread { table } => write!(f, "{table}: a spread of fewer than two seeds"),
+            Self::NoSpread { table } => write!(f, "{table}: its spread is not one of its number of seeds"),
             Self::Unsaid { table, commit } => {
                 write!(f, "{table}: older than a preset, and the document does not name its commit {commit}")
             }
@@ -491,14 +497,18 @@ mod tests {
     }
 
     #[test]
-    fn a_spread_is_one_of_several_seeds_and_scenes_are_of_two_kinds() {
+    fn a_spread_fits_its_number_of_seeds_and_scenes_are_of_named_kinds() {
         let checked = |lines: &str| {
             let list = one(&format!("command = \"cargo bench\"\ncommit = \"abc1234\"\n{lines}"));
             check(repository(&list).path(), gs_methods::registry())
         };
         let table = "docs/a.md: | method |".to_owned();
         let single = checked("seeds = [0]\nspread = \"every seed\"").unwrap();
-        assert_eq!(single.findings, [Finding::NoSpread { table }]);
+        assert_eq!(single.findings, [Finding::NoSpread { table: table.clone() }]);
+        let once = checked("seeds = [0]\nspread = \"one run\"\nscenes = \"tuning and held out\"").unwrap();
+        assert_eq!(once.findings, []);
+        let many = checked("seeds = [0, 1]\nspread = \"one run\"").unwrap();
+        assert_eq!(many.findings, [Finding::NoSpread { table }]);
         let several = checked("seeds = [0, 1]\nspread = \"standard deviation\"\nscenes = \"held out\"").unwrap();
         assert_eq!(several.findings, []);
         let listed = &several.tables[0].0;

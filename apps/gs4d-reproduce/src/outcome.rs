@@ -190,16 +190,21 @@ fn spread(standing: &Standing, column: &Column, beside: &Beside) -> Option<Sprea
     Spread::of(&standing.trials.iter().filter_map(|t| beside.score(column, t)).collect::<Vec<_>>())
 }
 
+/// The published figure of a scene; none of a generated one.
+fn published(table: &Table, chosen: &Chosen, entry: &str, column: usize) -> Option<f64> {
+    match chosen {
+        Chosen::Published(scene, _) => table.published(scene, entry, column),
+        Chosen::Generated(_) => None,
+    }
+}
+
 fn scene(reproduction: &Reproduction, chosen: &Chosen, standings: &[Standing], beside: &Beside) -> SceneOutcome {
     let table = &reproduction.table;
-    let published = |entry: &TableEntry, column: usize| match chosen {
-        Chosen::Published(scene, _) => table.published(scene, &entry.name, column),
-        Chosen::Generated(_) => None,
-    };
     let generated = chosen.is_generated();
     let columns = table.measured_columns(generated);
     let entries = table.runnable().zip(standings).map(|(entry, standing)| {
-        let of = |(k, c)| Value { published: published(entry, k), ours: spread(standing, c, beside) };
+        let of =
+            |(k, c)| Value { published: published(table, chosen, &entry.name, k), ours: spread(standing, c, beside) };
         outcome(entry, standing, columns.iter().enumerate().map(of).collect())
     });
     SceneOutcome { scene: chosen.name().to_owned(), generated, entries: entries.collect() }
@@ -236,7 +241,7 @@ fn average(reproduction: &Reproduction, results: &[Results], beside: &Beside) ->
             Spread::of(&seeds.iter().filter_map(of).collect::<Vec<_>>())
         };
         let of = |(k, column): (usize, &Column)| Value {
-            published: published_mean(reproduction, &entry.name, k, &vec![true; reproduction.scenes.len()]),
+            published: published_mean(table, &entry.name, k, &reproduction.scenes.iter().collect::<Vec<_>>()),
             // Masked scores of some scenes and whole ones of others have no mean.
             ours: mean(&|t| beside.score(column, t)).filter(|_| !(mixed && column.is_masked())),
         };
@@ -254,22 +259,15 @@ fn average(reproduction: &Reproduction, results: &[Results], beside: &Beside) ->
     SceneOutcome { scene: "mean over these scenes".to_owned(), generated, entries: entries.collect() }
 }
 
-/// The published mean over the scenes that stand: the printed one if these are all, else that of the printed rows.
-fn published_mean(reproduction: &Reproduction, entry: &str, column: usize, stands: &[bool]) -> Option<f64> {
-    let Reproduction { table, scenes, absent, .. } = reproduction;
-    let rows: Option<Vec<f64>> = scenes
-        .iter()
-        .zip(stands)
-        .filter(|(_, stands)| **stands)
-        .map(|(chosen, _)| match chosen {
-            Chosen::Published(scene, _) => table.published(scene, entry, column),
-            Chosen::Generated(_) => None,
-        })
-        .collect();
-    let published = scenes.iter().all(|s| matches!(s, Chosen::Published(..)));
-    let all = absent.is_empty() && published && stands.iter().all(|stands| *stands);
-    let printed = table.published_average(entry, column).filter(|_| all && scenes.len() == table.scenes.len());
-    printed.or_else(|| Spread::of(&rows?).map(|s| s.mean))
+/// The published mean over some scenes: the printed one if these are all of the paper's, else that of the printed rows; none over
+/// generated ones.
+fn published_mean(table: &Table, entry: &str, column: usize, scenes: &[&Chosen]) -> Option<f64> {
+    if scenes.iter().any(|scene| scene.is_generated()) {
+        return None;
+    }
+    let printed = table.published_average(entry, column).filter(|_| scenes.len() == table.scenes.len());
+    let rows = || scenes.iter().map(|scene| published(table, scene, entry, column)).collect::<Option<Vec<f64>>>();
+    printed.or_else(|| Spread::of(&rows()?).map(|s| s.mean))
 }
 
 fn orders(reproduction: &Reproduction, results: &[Results], beside: &Beside) -> Vec<Order> {
@@ -281,9 +279,9 @@ fn orders(reproduction: &Reproduction, results: &[Results], beside: &Beside) -> 
         return Vec::new();
     };
     // What stands in for the paper's scenes stands in for all of them.
-    let printed = |entry: &str, stands: &[bool]| match generated {
+    let printed = |entry: &str, stand: &[&Chosen]| match generated {
         true => table.published_average(entry, 0),
-        false => published_mean(reproduction, entry, 0, stands),
+        false => published_mean(table, entry, 0, stand),
     };
     let order = |(k, other): (usize, &&TableEntry)| {
         let pairs = |r: &Results| match (r.standings.first(), r.standings.get(k)) {
@@ -291,8 +289,9 @@ fn orders(reproduction: &Reproduction, results: &[Results], beside: &Beside) -> 
             _ => Vec::new(),
         };
         let scenes: Vec<Vec<f64>> = results.iter().map(pairs).collect();
-        let stands: Vec<bool> = scenes.iter().map(|pairs| !pairs.is_empty()).collect();
-        let published = printed(&first.name, &stands).zip(printed(&other.name, &stands)).map(|(a, b)| a - b);
+        let with_pairs = reproduction.scenes.iter().zip(&scenes).filter(|(_, pairs)| !pairs.is_empty());
+        let stand: Vec<&Chosen> = with_pairs.map(|(scene, _)| scene).collect();
+        let published = printed(&first.name, &stand).zip(printed(&other.name, &stand)).map(|(a, b)| a - b);
         Order::of(other.name.clone(), published, &scenes)
     };
     names.iter().enumerate().skip(1).map(order).collect()

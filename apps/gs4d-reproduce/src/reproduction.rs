@@ -290,7 +290,8 @@ mod tests {
         let generated = Reproduction::new(object, plain).unwrap().contests(gs_methods::registry()).unwrap();
         assert_eq!(generated[0].sets, ["physics.refit=false", "run.log_every=1"]);
         let labels: Vec<&str> = contests[0].entries.iter().map(|e| e.label.as_str()).collect();
-        assert_eq!(labels, ["fags:tiny", "grid4d:tiny", "fourdgs:tiny", "defgs:tiny"]);
+        let fags = "fags:tiny field.gate.on=true schedule.lambda_fre=0.3";
+        assert_eq!(labels, [fags, "grid4d:tiny", "fourdgs:tiny", "defgs:tiny"]);
     }
 
     #[test]
@@ -323,7 +324,8 @@ mod tests {
         let published = Conditions { preset: None, ..conditions(root.path()) };
         let table = Reproduction::new(Table::find("fags", "neu3d").unwrap(), published).unwrap();
         let labels = table.entries(&table.scenes[0]).unwrap().into_iter().map(|e| e.label).collect::<Vec<_>>();
-        assert_eq!(labels, ["fags:neu3d", "grid4d:neu3d", "fourdgs:neu3d"]);
+        let fags = "fags:neu3d field.gate.on=true schedule.lambda_fre=0.3";
+        assert_eq!(labels, [fags, "grid4d:neu3d", "fourdgs:neu3d"]);
 
         folder(root.path(), "broom", "hypernerf");
         let labels = |preset: Option<&str>, length: Length| -> Vec<String> {

@@ -21,6 +21,7 @@ const FILES: &[(&str, &str)] = &[
     ("modec-hypernerf-vrig", include_str!("../tables/modec-hypernerf-vrig.toml")),
     ("modec-hypernerf-nerfs", include_str!("../tables/modec-hypernerf-nerfs.toml")),
     ("modec-stages", include_str!("../tables/modec-stages.toml")),
+    ("modec-motion", include_str!("../tables/modec-motion.toml")),
     ("modec-nvidia", include_str!("../tables/modec-nvidia.toml")),
     ("modec-dnerf", include_str!("../tables/modec-dnerf.toml")),
     ("modec-panoptic", include_str!("../tables/modec-panoptic.toml")),

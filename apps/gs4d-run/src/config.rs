@@ -317,18 +317,20 @@ impl Config {
         near.dedup();
         if near.is_empty() {
             let ranked = self.keys().map(|known| (similarity(known, key), known));
-            let nearest = ranked.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(similarity, _)| *similarity > 0.6);
-            near.extend(nearest.map(|(_, known)| known.clone()));
+            let nearest =
+                ranked.max_by(|([a, whole_a], _), ([b, whole_b], _)| a.total_cmp(b).then(whole_a.total_cmp(whole_b)));
+            near.extend(nearest.filter(|([similarity, _], _)| *similarity > 0.6).map(|(_, known)| known.clone()));
         }
         ConfigError::Unknown { key: key.to_owned(), origin: source.clone(), near }
     }
 }
 
-/// Similarity of two keys, 0..1. A right name in the wrong section is similar, too.
-fn similarity(known: &str, given: &str) -> f64 {
+/// Similarity of two keys, 0..1: a right name in the wrong section is similar, too; then that of the keys as a whole, which chooses among
+/// equally similar ones.
+fn similarity(known: &str, given: &str) -> [f64; 2] {
     let leaf = |k: &str| k.rsplit('.').next().unwrap_or_default().to_owned();
-    let same = strsim::normalized_damerau_levenshtein;
-    same(known, given).max(0.9 * same(&leaf(known), &leaf(given)))
+    let whole = strsim::normalized_damerau_levenshtein(known, given);
+    [whole.max(0.9 * strsim::normalized_damerau_levenshtein(&leaf(known), &leaf(given))), whole]
 }
 
 fn parse(text: &str, origin: &Source) -> Result<Table, ConfigError> {
@@ -468,6 +470,9 @@ mod tests {
         assert!(far.contains("unknown setting") && !far.contains("did you mean"), "{far}");
         let e = config().overlay_toml("steps = 5\nstps = 4", &Source::File("f.toml".into())).unwrap_err();
         assert!(e.to_string().contains("`stps` (file f.toml); did you mean `steps`?"));
+        let mut rates = Config::of_toml("[lr.cloud]\nmeans.eps = 1.0\nopacities.eps = 1.0").unwrap();
+        let error = rates.set("lr.means.eps=2").unwrap_err().to_string();
+        assert!(error.contains("did you mean `lr.cloud.means.eps`?"), "{error}");
     }
 
     #[test]

@@ -12,7 +12,7 @@ use gs_train::timestamp::Timestamp;
 use gs4d_eval::layers;
 use gs4d_eval::segment::{self, parts};
 use gs4d_report::analysis::Histogram;
-use gs4d_report::{Legend, OverlayFigure, Ramp};
+use gs4d_report::{Legend, OVERLAY_SIDE, OverlayFigure, Ramp, within};
 
 /// Number of colours of a legend.
 const LEGEND_COLORS: usize = 9;
@@ -34,12 +34,13 @@ pub(crate) fn overlay_figures(
     let mut renderer = Renderer::new(RasterOptions { background: [0.0; 3], ..method.raster_options([0.0; 3]) });
     let mut render = |splats: &Splats, overlay: Overlay| {
         let color = &Color::Rgb(overlay.colors);
-        renderer.render(SplatsRef { color, ..splats.view() }, camera).map(clamped)
+        let frame = renderer.render(SplatsRef { color, ..splats.view() }, camera);
+        frame.map(|frame| within(clamped(frame), OVERLAY_SIDE))
     };
     let quantities = method.quantities(&at)?;
     let mut figures = Vec::new();
     for q in quantities.iter().filter(|q| q.values.len() == splats.len()) {
-        let (q, clipped) = within(q);
+        let (q, clipped) = without_outliers(q);
         let image = render(&splats, q.overlay())?;
         let histogram = Some(Histogram::of(q.name, None, q.span(), &q.values));
         let name = if q.unit.is_empty() { q.name.to_owned() } else { format!("{}, {}", q.name, q.unit) };
@@ -82,7 +83,7 @@ fn parts_figure(
 }
 
 /// The attribute with an interval of nearly all of its values, and whether some lie outside.
-fn within(q: &Quantity) -> (Quantity, bool) {
+fn without_outliers(q: &Quantity) -> (Quantity, bool) {
     let mut sorted: Vec<f32> = q.values.iter().copied().filter(|v| v.is_finite()).collect();
     sorted.sort_by(f32::total_cmp);
     let share = |s: f64| sorted.get(cast::to_usize((s * sorted.len().saturating_sub(1) as f64).round())).copied();
@@ -232,14 +233,14 @@ mod tests {
         let mut values: Vec<f32> = (0..200).map(|i| i as f32 / 199.0).collect();
         values[7] = 1e6;
         let q = Quantity { name: "speed", unit: "m", range: None, values };
-        let (held, clipped) = within(&q);
+        let (held, clipped) = without_outliers(&q);
         assert!(clipped && held.span()[1] < 1.1);
         let Legend::Numbers(ramp, ticks) = legend(&held, clipped) else { panic!() };
         let drawn = held.overlay().colors;
         assert_eq!((ramp.0.len(), ramp.0[0], ramp.0[8]), (9, drawn[0], drawn[7]), "its ends are those of the picture");
         assert_ne!(ramp.0[0], ramp.0[8]);
         assert!(ticks[0].starts_with("≤ 0.01") && ticks[2].starts_with("≥ "), "{ticks:?}");
-        let (same, clipped) = within(&Quantity::share("gate", vec![0.2, 9.0]));
+        let (same, clipped) = without_outliers(&Quantity::share("gate", vec![0.2, 9.0]));
         assert_eq!((same.span(), clipped), ([0.0, 1.0], false), "an interval of its own stays");
         assert_eq!(
             ["0", "0.5", "12.3", "1.0e6", "123"],

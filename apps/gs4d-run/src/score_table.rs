@@ -115,7 +115,7 @@ pub(crate) fn size_text(views: &[View], images: &ImageCache) -> String {
     }
 }
 
-/// Name, mean, median, worst value and its view, for every metric with a value.
+/// Name, mean, median, worst value and its view, for every metric with a value; then the number of views without error, if any.
 pub(crate) fn score_rows(scores: &EvalReport) -> Vec<[String; 5]> {
     let mut rows = metric_rows(scores, "");
     if let Some(future) = &scores.extrapolate {
@@ -130,13 +130,15 @@ pub(crate) fn number_or_dash(v: Option<f64>, digits: usize) -> String {
 }
 
 /// A metric: name, decimal digits, mean, value of a view, whether larger is better.
-type Metric = (&'static str, usize, Option<f64>, fn(&ViewScores) -> Option<f64>, bool);
+type Metric<'a> = (&'a str, usize, Option<f64>, fn(&ViewScores) -> Option<f64>, bool);
 
 fn metric_rows(s: &EvalReport, of: &str) -> Vec<[String; 5]> {
     let (mean, masked) = (s.mean, s.mean.masked);
     let in_mask = |value: fn(&MaskedScores) -> Option<f64>| masked.as_ref().and_then(value);
     let fitted = |value: fn(&FittedScores) -> Option<f64>| mean.fitted.as_ref().and_then(value);
-    let metrics: [Metric; 11] = [
+    let colors = mean.fitted.map_or("", |f| f.colors());
+    let [fitted_psnr, fitted_ssim] = ["PSNR, dB", "SSIM"].map(|name| format!("{name}, {colors}"));
+    let metrics: [Metric<'_>; 11] = [
         ("PSNR, dB: mean of views", 2, mean.psnr, |v| v.psnr, true),
         ("SSIM", 4, mean.ssim, |v| Some(v.ssim), true),
         ("MS-SSIM", 4, mean.ms_ssim, |v| v.ms_ssim, true),
@@ -145,10 +147,14 @@ fn metric_rows(s: &EvalReport, of: &str) -> Vec<[String; 5]> {
         ("sharpness: Laplacian over that of the truth", 3, mean.laplacian_ratio, |v| v.laplacian_ratio, true),
         ("sharpness: high frequencies over those of the truth", 3, mean.high_band_ratio, |v| v.high_band_ratio, true),
         ("masked PSNR, dB", 2, in_mask(|m| m.psnr), |v| v.masked?.psnr, true),
-        ("PSNR, dB, in the colours of the images", 2, fitted(|f| f.psnr), |v| v.fitted?.psnr, true),
-        ("SSIM, in the colours of the images", 4, fitted(|f| f.ssim), |v| v.fitted?.ssim, true),
+        (fitted_psnr.as_str(), 2, fitted(|f| f.psnr), |v| v.fitted?.psnr, true),
+        (fitted_ssim.as_str(), 4, fitted(|f| f.ssim), |v| v.fitted?.ssim, true),
         ("masked SSIM", 4, in_mask(|m| m.ssim), |v| v.masked?.ssim, true),
     ];
+    let alone = |name: &str, value: String| {
+        let [dash, empty] = ["–".to_owned(), String::new()];
+        [format!("{name}{of}"), value, dash.clone(), dash, empty]
+    };
     let mut rows = Vec::new();
     for (name, digits, mean, value, more) in metrics.into_iter().filter(|m| m.2.is_some()) {
         let mut all: Vec<(f64, &str)> = s.views.iter().filter_map(|v| Some((value(v)?, v.name.as_str()))).collect();
@@ -163,10 +169,11 @@ fn metric_rows(s: &EvalReport, of: &str) -> Vec<[String; 5]> {
             worst.map_or(String::new(), |w| w.1.to_owned()),
         ]);
         if rows.len() == 1 && s.psnr_of_mean_mse.is_some() {
-            let [dash, empty] = ["–".to_owned(), String::new()];
-            let from_mean = number_or_dash(s.psnr_of_mean_mse, 2);
-            rows.push([format!("PSNR, dB: of the mean squared error{of}"), from_mean, dash.clone(), dash, empty]);
+            rows.push(alone("PSNR, dB: of the mean squared error", number_or_dash(s.psnr_of_mean_mse, 2)));
         }
+    }
+    if s.perfect_views > 0 {
+        rows.push(alone("views without error (not in the mean of PSNR)", s.perfect_views.to_string()));
     }
     rows
 }
@@ -232,6 +239,8 @@ mod tests {
         assert_eq!(rows[1], ["PSNR, dB: of the mean squared error", "23.50", "–", "–", ""]);
         assert_eq!(rows[3][1..], ["0.2000", "0.2000", "0.3000", "b"], "less is better");
         assert_eq!(rows.len(), 4, "no number, no row");
+        let perfect = score_rows(&EvalReport { perfect_views: 2, ..scores.clone() });
+        assert_eq!(perfect[4], ["views without error (not in the mean of PSNR)", "2", "–", "–", ""]);
         let both = EvalReport { extrapolate: Some(Box::new(scores.clone())), ..scores };
         assert_eq!(score_rows(&both).len(), 8);
     }

@@ -21,7 +21,7 @@ use gs4d_report::analysis::{Analysis, Histogram, RenderCost, Snapshot};
 use gs4d_report::inspect::bytes_text;
 use gs4d_report::needs::needs;
 use gs4d_report::storage::Storage;
-use gs4d_report::{Figure, HeatMap, Report, ReportRow, Sample, Still};
+use gs4d_report::{Figure, HeatMap, IMAGE_SIDE, Report, ReportRow, STRIP_SIDE, Sample, Still, within};
 use serde::Deserialize;
 use serde_json::Value;
 use std::path::Path;
@@ -116,19 +116,19 @@ pub(crate) fn build_report(m: &ReportInput) -> Result<Report, RunError> {
     Ok(report)
 }
 
-/// Number of images, `[H, W, 3]` in `f32`, that the report of a run holds at once, at most: compared views, the strip over time,
-/// overlays. An estimate of its memory counts them.
+/// Numbers of images, `[H, W, 3]` in `f32`, that the report of a run holds at once, at most: whole ones of compared views, and those
+/// reduced to [`IMAGE_SIDE`] at most, the strip over time and overlays. An estimate of its memory counts them.
 ///
 /// # Errors
 /// If the method cannot give its overlays.
-pub fn images_held(method: &Model, dataset: &Dataset) -> Result<usize, MethodError> {
+pub fn images_held(method: &Model, dataset: &Dataset) -> Result<[usize; 2], MethodError> {
     let scored = if dataset.test.is_empty() { &dataset.train } else { &dataset.test };
     let compared = [scored, &dataset.extrapolate].map(|views| 2 * score_table::places(views.len()).len());
     let moving = if dataset.dynamic { STRIP_FRAMES + 1 } else { 0 };
     let at = Timestamp::normalised(0.0);
     let parts = usize::from(method.capabilities().particles.is_some());
     let overlays = method.quantities(&at)?.len() + method.overlays(&at)?.len() + parts;
-    Ok(compared.iter().sum::<usize>() + moving + overlays)
+    Ok([compared.iter().sum(), moving + overlays])
 }
 
 fn data_name(m: &ReportInput) -> String {
@@ -234,7 +234,7 @@ fn psnr_curves(log: &[Value]) -> Vec<(String, Vec<Sample>)> {
 fn strip(method: &Model, renderer: &mut Renderer, camera: &Camera) -> Result<Vec<Still>, MethodError> {
     let time = |k: usize| k as f32 / (STRIP_FRAMES - 1) as f32;
     let still = |k: usize| {
-        let image = renderer.at(method, time(k), camera)?;
+        let image = within(renderer.at(method, time(k), camera)?, STRIP_SIDE);
         Ok(Still { caption: format!("t = {:.2}", time(k)), image })
     };
     (0..STRIP_FRAMES).map(still).collect()
@@ -256,7 +256,7 @@ fn jerk(m: &ReportInput, view: &View, camera: &Camera) -> Result<Vec<Still>, Met
     };
     let splats = painted(m.method.all_splats(&Timestamp::normalised(time), camera)?, overlay);
     let caption = format!("second differences at t = {time:.2}: black at rest, white at the largest");
-    Ok(vec![Still { caption, image: clamped(renderer.render(&splats, camera)?) }])
+    Ok(vec![Still { caption, image: within(clamped(renderer.render(&splats, camera)?), IMAGE_SIDE) }])
 }
 
 fn analysis(m: &ReportInput, seen: &[(Camera, Time)], options: &RasterOptions) -> Result<Vec<ReportRow>, MethodError> {

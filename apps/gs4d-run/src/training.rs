@@ -1,6 +1,7 @@
 //! The training loop: steps, log lines, checkpoints, evaluations, and its three outcomes.
 
 mod stage;
+mod warnings;
 mod window;
 
 use super::RunError;
@@ -19,7 +20,7 @@ use gs_data::{Dataset, ImageCache, Split};
 use gs_train::checkpoint::{self, Newest, Skipped};
 use gs_train::device::Device;
 use gs_train::evaluate::{EvalReport, Scoring, evaluate_with};
-use gs_train::ranks::{Ranks, Share};
+use gs_train::ranks::{Ranks, Share, alone};
 use gs_train::registry::Registry;
 use gs_train::renderer::file_stem;
 use gs_train::trainer::{TrainError, TrainOptions, Trainer};
@@ -78,15 +79,6 @@ impl Logs {
     }
 }
 
-/// A warning if the run is too short to draw every training view.
-fn undrawn(trainer: &Trainer) -> Vec<String> {
-    let (steps, views) = (trainer.steps(), trainer.dataset().train.len());
-    let shortest = trainer.schedule().shortest(views);
-    let warning =
-        || format!("{steps} steps cannot draw each of the {views} training views once; --steps {shortest} does");
-    if u64::from(steps) < shortest { vec![warning()] } else { Vec::new() }
-}
-
 /// How a training session ended.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outcome {
@@ -122,16 +114,45 @@ fn kept_text(dataset: &Dataset) -> Result<String, RunError> {
     Ok(format!("{}\n", Kept::of(dataset).to_json()?))
 }
 
+/// The trainer of a run before its first step.
+fn new_trainer(resolved: &Resolved, dataset: Arc<Dataset>) -> Result<Trainer, RunError> {
+    let options = TrainOptions { seed: resolved.run.seed, image_bytes: resolved.run.image_bytes() };
+    Ok(Trainer::new(&resolved.registry, dataset, &resolved.run.method, &resolved.method, options)?)
+}
+
+/// The same trainer, the first of these ranks.
+fn led(trainer: Trainer, resolved: &Resolved, ranks: Arc<dyn Ranks>) -> Result<Trainer, RunError> {
+    if ranks.size() == 1 {
+        return Ok(trainer);
+    }
+    ranks::call(&*ranks, resolved, trainer.dataset())?;
+    Ok(trainer.lead(ranks)?)
+}
+
 impl Training {
     /// Begins a run in a new folder.
     ///
     /// # Errors
     /// If the folder is taken, the data or the method cannot be used, or nothing can move in the data and the method learns motion.
     pub fn begin(root: &Path, overwrite: bool, resolved: Resolved) -> Result<Self, RunError> {
+        Self::begin_with_ranks(root, overwrite, resolved, alone())
+    }
+
+    /// The same, trained together with the other ranks ([`Self::with_ranks`]): an older run is overwritten once all of them can begin.
+    ///
+    /// # Errors
+    /// As [`Self::begin`] and [`Self::with_ranks`].
+    pub fn begin_with_ranks(
+        root: &Path,
+        overwrite: bool,
+        resolved: Resolved,
+        ranks: Arc<dyn Ranks>,
+    ) -> Result<Self, RunError> {
         let dataset = Arc::new(resolved.open_data()?);
         let resolved = resolved.with_start_points(&dataset)?;
         resolved.fits(&dataset)?;
-        Self::begin_on(root, overwrite, resolved, dataset, None)
+        let trainer = led(new_trainer(&resolved, dataset)?, &resolved, ranks)?;
+        Self::begin_in(root, overwrite, resolved, trainer, None)
     }
 
     /// The same on a part of the data of the settings. A training in rounds gives what it needs to go on
@@ -146,8 +167,17 @@ impl Training {
         dataset: Arc<Dataset>,
         rounds: Option<Value>,
     ) -> Result<Self, RunError> {
-        let options = TrainOptions { seed: resolved.run.seed, image_bytes: resolved.run.image_bytes() };
-        let trainer = Trainer::new(&resolved.registry, dataset, &resolved.run.method, &resolved.method, options)?;
+        let trainer = new_trainer(&resolved, dataset)?;
+        Self::begin_in(root, overwrite, resolved, trainer, rounds)
+    }
+
+    fn begin_in(
+        root: &Path,
+        overwrite: bool,
+        resolved: Resolved,
+        trainer: Trainer,
+        rounds: Option<Value>,
+    ) -> Result<Self, RunError> {
         let config = resolved.to_toml()?;
         let mut provenance = provenance::begun(&resolved, &config, trainer.dataset(), trainer.steps());
         provenance["rounds"] = json!(rounds);
@@ -158,7 +188,7 @@ impl Training {
         };
         let folder = RunFolder::create(root, overwrite, &beginning)?;
         let stop_at = resolved.run.time_budget;
-        let warnings = undrawn(&trainer);
+        let warnings = warnings::at_begin(&trainer, &resolved);
         Ok(Self { warnings, ..Self::new(trainer, resolved, folder, stop_at) })
     }
 
@@ -227,11 +257,7 @@ impl Training {
     /// # Errors
     /// If a rank cannot be reached, cannot read the data, or cannot build the method.
     pub fn with_ranks(self, ranks: Arc<dyn Ranks>) -> Result<Self, RunError> {
-        if ranks.size() == 1 {
-            return Ok(self);
-        }
-        ranks::call(&*ranks, &self.resolved, self.trainer.dataset())?;
-        Ok(Self { trainer: self.trainer.lead(ranks)?, ..self })
+        Ok(Self { trainer: led(self.trainer, &self.resolved, ranks)?, ..self })
     }
 
     /// Sets what happens when the disk refuses: a checkpoint is tried again after each of the `pauses` (default: 1, 5 and 20
@@ -298,7 +324,7 @@ impl Training {
     }
 
     fn step(&mut self, on_step: &mut dyn FnMut(Progress, &mut Trainer)) -> Result<(), RunError> {
-        let report = match self.trainer.step() {
+        let mut report = match self.trainer.step() {
             Ok(report) => report,
             Err(error) => {
                 let at = self.trainer.steps_done();
@@ -307,20 +333,21 @@ impl Training {
                 return Err(error.into());
             }
         };
-        self.window.add(&report);
-        let due = |every: u32| every > 0 && report.step.is_multiple_of(every);
+        let (step, events) = (report.step, std::mem::take(&mut report.events));
+        self.window.add(report);
+        let due = |every: u32| every > 0 && step.is_multiple_of(every);
         let run = &self.resolved.run;
         let (log, evaluation, save) = (due(run.log_every), due(run.eval_every), due(run.checkpoint_every));
         let histograms = due(run.histogram_every);
         let progress = self.progress();
         on_step(progress, &mut self.trainer);
-        if log || report.step == self.trainer.steps() {
+        if log || step == self.trainer.steps() {
             self.log_steps();
         }
         if histograms {
             self.log_histograms()?;
         }
-        report.events.iter().for_each(|line| self.logs.journal.add(line, &self.patience.warn));
+        events.iter().for_each(|line| self.logs.journal.add(line, &self.patience.warn));
         if evaluation {
             self.evaluate_while_training()?;
         }

@@ -11,11 +11,14 @@ use std::error::Error;
 use std::net::Ipv4Addr;
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let splats = match std::env::args().nth(1) {
-        Some(path) => load_splats(path.as_ref(), &Limits::default())?.to_splats()?,
-        None => two(),
+    let (splats, antialiased) = match std::env::args().nth(1) {
+        Some(path) => {
+            let raw = load_splats(path.as_ref(), &Limits::default())?;
+            (raw.to_splats()?, raw.antialiased)
+        }
+        None => (two(), false),
     };
-    let stage = Stage::new(vec![Show::splats("scene".into(), splats)]);
+    let stage = Stage::new(vec![Show::splats("scene".into(), splats).antialiased(antialiased)]);
     let (host, packing) = (Ipv4Addr::LOCALHOST.into(), Packing::Png);
     let device = gs_train::device::Device::default();
     let options = Options { host, port: 7007, packing, share: None, request_time: REQUEST_TIME, device };

@@ -12,7 +12,8 @@ const MIN_OPACITY: f32 = 0.1;
 /// Half width of the difference, in mean intervals of training timestamps.
 const HALF_STEP: f32 = 0.5;
 
-/// Positions and velocities (world units per second, or per unit of normalised time where the data have no seconds) of splats, evenly spread over those whose centres are in the image.
+/// Positions and velocities (world units per second, or per unit of normalised time where the data have no seconds) of splats, spread over
+/// those whose centres are in the image ([`gs_data::spread()`]).
 ///
 /// # Errors
 /// As [`Shot::all_splats`].
@@ -27,8 +28,7 @@ pub(crate) fn arrows(shot: &Shot) -> Result<Value, String> {
         splats.opacities[i] >= MIN_OPACITY && at.z > 0.0 && within
     };
     let all: Vec<usize> = (0..splats.len()).filter(in_image).collect();
-    let some: Vec<usize> =
-        (0..all.len().min(MAX_ARROWS)).map(|k| all[k * all.len() / all.len().min(MAX_ARROWS)]).collect();
+    let some: Vec<usize> = gs_data::spread(all.len(), MAX_ARROWS).into_iter().map(|k| all[k]).collect();
     let half = HALF_STEP * shot.show.interval();
     let at = |d: f32| shot.all_splats_at(shot.time + d);
     let (before, after) = (at(-half)?, at(half)?);

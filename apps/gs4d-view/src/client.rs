@@ -106,11 +106,8 @@ pub(crate) async fn serve(mut socket: WebSocket, shared: &Arc<Shared>) {
                 Err(_) => false,
             },
             Ok(()) = listed.changed() => {
-                listed.borrow_and_update();
-                match about(shared).await {
-                    Some(all) => send(&mut socket, &json!({"listed": all["shows"]})).await,
-                    None => false,
-                }
+                let text = listed.borrow_and_update().clone();
+                send_text(&mut socket, text).await
             }
             Ok(()) = news.changed() => {
                 let text = news.borrow_and_update().clone();

@@ -50,11 +50,12 @@ pub(crate) async fn take(
     let state = shared.clone();
     let added = tokio::task::spawn_blocking(move || {
         let limits = Limits { max_memory: MAX_MEMORY, ..Limits::default() };
-        let read = || parse_splats(&bytes, &name, &limits).and_then(|raw| Ok(raw.to_splats()?));
-        let splats = state.in_pool(read).map_err(|e| e.to_string())?;
-        Ok(state.stage.add(Show::splats(name.clone(), splats), MAX_SHOWS).map(|number| {
+        let read = || parse_splats(&bytes, &name, &limits).and_then(|raw| Ok((raw.to_splats()?, raw.antialiased)));
+        let (splats, antialiased) = state.in_pool(read).map_err(|e| e.to_string())?;
+        let show = Show::splats(name.clone(), splats).antialiased(antialiased);
+        Ok(state.stage.add(show, MAX_SHOWS).map(|number| {
             let mut about = state.in_pool(|| state.stage.about());
-            state.listed.send_replace(());
+            state.listed.send_replace(json!({"listed": about["shows"]}).to_string());
             about["number"] = json!(number);
             about.to_string()
         }))

@@ -104,8 +104,8 @@ pub(crate) struct Shared {
     pub(crate) clients: AtomicUsize,
     /// Newest message to all browsers.
     pub(crate) news: watch::Sender<Option<String>>,
-    /// Raised when a show is added. Not among [`Self::news`], of which a page that is slow to read gets the newest alone.
-    pub(crate) listed: watch::Sender<()>,
+    /// Newest list of all shows, sent when one is added. Not among [`Self::news`], of which a page that is slow to read gets the newest alone.
+    pub(crate) listed: watch::Sender<String>,
     /// Held by the request whose file is taken.
     pub(crate) uploads: Mutex<()>,
     /// Newest state of a training, for pages that open later.
@@ -134,7 +134,7 @@ impl Shared {
             outbox: Arc::default(),
             clients: AtomicUsize::new(0),
             news: watch::Sender::new(None),
-            listed: watch::Sender::new(()),
+            listed: watch::Sender::new(String::new()),
             uploads: Mutex::default(),
             last_news: std::sync::Mutex::default(),
             paused: AtomicBool::new(false),

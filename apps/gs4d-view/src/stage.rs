@@ -11,7 +11,7 @@ use gs4d_run::{Kept, OpenRun, Training};
 use serde_json::{Value, json};
 use std::sync::{Arc, PoisonError, RwLock};
 
-/// Most dataset views listed by the page, evenly spread.
+/// Most dataset views listed by the page; of more, a selection ([`gs_data::spread()`]).
 const MAX_VIEWS: usize = 200;
 /// Image cache of a run under training, bytes.
 const LIVE_IMAGE_BYTES: usize = 64 << 20;
@@ -103,6 +103,12 @@ impl Show {
         Self::new(name, Scene::splats(splats), RasterOptions::default(), [0.0; 3])
     }
 
+    /// The same, drawn anti-aliased or not.
+    pub fn antialiased(mut self, antialias: bool) -> Self {
+        self.options.antialias = antialias;
+        self
+    }
+
     fn new(name: String, scene: Scene, options: RasterOptions, background: [f32; 3]) -> Self {
         let (scene, times) = (RwLock::new(Arc::new(scene)), vec![0.0]);
         let (checkpoints, images) = (None, None);
@@ -112,8 +118,7 @@ impl Show {
 
     fn set_data(&mut self, data: &Dataset) {
         let spread = |all: &[View], most: usize| -> Vec<View> {
-            let kept = all.len().min(most);
-            (0..kept).map(|k| all[k * all.len() / kept].clone()).collect()
+            gs_data::spread(all.len(), most).into_iter().map(|k| all[k].clone()).collect()
         };
         let kept = Kept::of(data);
         let held_out = [spread(&data.test, MAX_VIEWS / 2), spread(&data.extrapolate, MAX_VIEWS / 4)].concat();

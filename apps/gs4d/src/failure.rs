@@ -13,6 +13,7 @@ use gs4d_eval::temporal::TemporalError;
 use gs4d_run::RunError;
 use gs4d_run::config::ConfigError;
 use std::fmt;
+use std::io::{self, ErrorKind};
 use std::path::Path;
 
 /// Class of a failure; its number is the exit code.
@@ -85,10 +86,8 @@ impl Failure {
     }
 
     /// A failed system call on a path; `action` completes "cannot …".
-    pub fn io(action: &str, path: &Path, source: &std::io::Error) -> Self {
-        Self::new(Class::Io, "io", format!("cannot {action}: {source}"))
-            .place(path.display())
-            .remedy("check the path, its permissions and the space on the disk")
+    pub fn io(action: &str, path: &Path, source: &io::Error) -> Self {
+        Self::new(Class::Io, "io", format!("cannot {action}: {source}")).place(path.display()).remedy(remedy_of(source))
     }
 
     /// What happened, and where.
@@ -147,6 +146,16 @@ impl fmt::Display for Failure {
     }
 }
 
+/// What to do about an error of the operating system.
+fn remedy_of(source: &io::Error) -> &'static str {
+    match source.kind() {
+        ErrorKind::NotFound => "check the path",
+        ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => "check the permissions of the path",
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "make space on the disk, or choose a path on another one",
+        _ => "check the path, its permissions and the space on the disk",
+    }
+}
+
 const LAYOUT_REMEDY: &str = "give the folder that holds the cameras, or name its layout with --set data.layout=NAME";
 
 impl From<DataError> for Failure {
@@ -169,13 +178,17 @@ impl From<ConfigError> for Failure {
 impl From<IoError> for Failure {
     fn from(e: IoError) -> Self {
         let (class, id) = match &e {
-            IoError::Os { source, .. } if source.kind() == std::io::ErrorKind::NotFound => (Class::Io, "io.missing"),
+            IoError::Os { source, .. } if source.kind() == ErrorKind::NotFound => (Class::Io, "io.missing"),
             IoError::Os { .. } | IoError::Exists { .. } | IoError::Full { .. } => (Class::Io, "io"),
             IoError::Limit { .. } => (Class::Resource, "limits.file"),
             IoError::Unsupported { .. } => (Class::Data, "data.unsupported"),
             _ => (Class::Data, "data.file"),
         };
-        Self::new(class, id, e.to_string())
+        let failure = Self::new(class, id, e.to_string());
+        match &e {
+            IoError::Os { source, .. } | IoError::Full { source, .. } => failure.remedy(remedy_of(source)),
+            _ => failure,
+        }
     }
 }
 
@@ -189,9 +202,8 @@ impl From<CheckpointError> for Failure {
                 .remedy("bring it back if there was one, or begin the run anew: gs4d train with -f");
         }
         let (class, id, remedy) = match &e {
-            CheckpointError::Io { .. } | CheckpointError::Write(_) => {
-                (Class::Io, "checkpoint.io", "check the path and the space on the disk")
-            }
+            CheckpointError::Io { source, .. } => (Class::Io, "checkpoint.io", remedy_of(source)),
+            CheckpointError::Write(_) => (Class::Io, "checkpoint.io", "check the path and the space on the disk"),
             CheckpointError::Damaged { .. } | CheckpointError::NoneUsable { .. } => {
                 (Class::Data, "checkpoint.damaged", "use an older checkpoint of the run, or train again")
             }
@@ -365,9 +377,7 @@ impl From<RunError> for Failure {
             RunError::Busy { .. } => Self::new(Class::Io, "run.busy", text).remedy("wait for it, or stop it"),
             RunError::Steps(_) => Self::new(Class::Usage, "steps", text),
             RunError::Rounds(_) => Self::new(Class::Usage, "rounds", text),
-            RunError::Os { .. } => {
-                Self::new(Class::Io, "io", text).remedy("check the path, its permissions and the space on the disk")
-            }
+            RunError::Os { source, .. } => Self::new(Class::Io, "io", text).remedy(remedy_of(&source)),
             RunError::Report(_) => Self::new(Class::Internal, "report", text),
             RunError::Io(e) => e.into(),
             RunError::Config(e) => e.into(),

@@ -29,7 +29,7 @@ use gs_train::ranks::{Ranks, Share};
 use std::process::ExitCode;
 use std::sync::Arc;
 
-/// Train moving Gaussian splat scenes from images; render them from any camera at any time. On the CPU.
+/// Train moving Gaussian splat scenes from images; render them from any camera at any time.
 #[derive(Parser)]
 #[command(name = "gs4d", version = help::version(), max_term_width = 110)]
 struct Cli {

@@ -13,7 +13,7 @@ pub enum SplatFormat {
     Ply,
     /// `.splat`: SH degree 0, 8-bit colours and rotations.
     Splat,
-    /// `.spz` version 3: quantised, about a tenth of the `.ply`.
+    /// `.spz` version 3: quantised, about a tenth of the `.ply`, Gaussians only.
     Spz,
     /// `.glb` with the extension `KHR_gaussian_splatting`: exact, Gaussians only.
     Glb,
@@ -39,6 +39,44 @@ impl SplatFormat {
             Self::Spz => "spz",
             Self::Glb => "glb",
         }
+    }
+
+    /// Whether its files say if splats are drawn anti-aliased ([`RawSplats::antialiased`]).
+    pub fn keeps_antialiased(self) -> bool {
+        matches!(self, Self::Ply | Self::Spz)
+    }
+
+    /// What a file of this format does not say of splats, or clamps, in words; none if nothing. What the format rounds, and harmonics
+    /// above its degree, are not named.
+    ///
+    /// ```
+    /// use gs_core::io::{RawSplats, SplatFormat};
+    ///
+    /// let splats = RawSplats { antialiased: true, ..RawSplats::default() };
+    /// assert!(SplatFormat::Glb.note(&splats).unwrap().contains("anti-aliased"));
+    /// assert_eq!(SplatFormat::Spz.note(&splats), None);
+    /// ```
+    pub fn note(self, splats: &RawSplats) -> Option<String> {
+        let mut parts = Vec::new();
+        if splats.antialiased && !self.keeps_antialiased() {
+            let name = self.extension();
+            parts.push(format!(
+                ".{name} files cannot say that splats are to be drawn anti-aliased: viewers draw small ones too opaque"
+            ));
+        }
+        let clamped = match self {
+            Self::Ply | Self::Glb => spz::Clamped::default(),
+            Self::Splat => spz::Clamped { colors: splat::clamped(splats), ..spz::Clamped::default() },
+            Self::Spz => spz::Clamped::of(splats, &spz::SpzOptions::default()),
+        };
+        if clamped.total() > 0 {
+            let spz::Clamped { colors, log_scales, sh } = clamped;
+            let (name, splats) = (self.extension(), splats.len());
+            parts.push(format!(
+                "of {splats} splats, values beyond the range of .{name} files were clamped: {colors} colours, {log_scales} scales, {sh} harmonics"
+            ));
+        }
+        (!parts.is_empty()).then(|| parts.join("; "))
     }
 }
 
@@ -187,6 +225,26 @@ mod tests {
         assert!(save_splats(&dir.path().join("a.obj"), &splats, false).unwrap_err().to_string().contains(".ply"));
         let left: Vec<_> = fs::read_dir(dir.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
         assert_eq!(left.len(), 3, "no temporary file stays: {left:?}");
+    }
+
+    #[test]
+    fn what_a_file_does_not_keep_is_told() {
+        let mut bright = RawSplats { antialiased: true, ..cloud(20, 1, 32) };
+        bright.sh.fill(0.0);
+        let keeps = |format: SplatFormat| {
+            let mut bytes = Vec::new();
+            write_splats(format, &bright, &mut bytes).unwrap();
+            parse_splats(&bytes, "a.splat", &Limits::default()).unwrap().antialiased
+        };
+        for format in [SplatFormat::Ply, SplatFormat::Spz, SplatFormat::Splat, SplatFormat::Glb] {
+            assert_eq!([keeps(format), format.note(&bright).is_none()], [format.keeps_antialiased(); 2], "{format:?}");
+        }
+        bright.antialiased = false;
+        (bright.sh[0], bright.sh[1], bright.sh[3]) = (1.7, 4.0, 2.0);
+        assert_eq!(SplatFormat::Ply.note(&bright), None);
+        let note = |format: SplatFormat| format.note(&bright).unwrap();
+        assert!(note(SplatFormat::Spz).ends_with("clamped: 1 colours, 0 scales, 1 harmonics"));
+        assert!(note(SplatFormat::Splat).ends_with("clamped: 1 colours, 0 scales, 0 harmonics"));
     }
 
     #[test]

@@ -9,6 +9,9 @@ use crate::sh;
 use glam::Vec3;
 use serde_json::Value;
 
+/// Most bytes of parsed JSON for each `{`, `[` or `,` in its text.
+const MARK_BYTES: u64 = 384;
+
 /// The JSON and the binary chunk of a file.
 pub(super) fn chunks<'a>(bytes: &'a [u8], src: Source<'_>) -> Result<(&'a [u8], &'a [u8]), IoError> {
     let word = |at: usize| -> Result<u64, IoError> {
@@ -188,6 +191,8 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<RawSplats, IoEr
 pub fn read_scene(bytes: &[u8], file: &str, limits: &Limits) -> Result<GlbScene, IoError> {
     let src = Source { file, format: "glTF" };
     let (text, binary) = chunks(bytes, src)?;
+    let marks = text.iter().filter(|b| matches!(b, b'{' | b'[' | b',')).count();
+    limits.expansion(src, (marks as u64).saturating_mul(MARK_BYTES), bytes.len())?;
     let parsed = serde_json::from_slice(text);
     let document = parsed.map_err(|e| src.malformed(At::Byte(20), e.to_string(), "write the file again"))?;
     let reader = Reader { document, binary, src };

@@ -35,7 +35,7 @@
 //! |---|---|---|---|
 //! | 3DGS `.ply` | yes | yes | exact, degree 0 to 3, all kernels |
 //! | `.splat` | yes | yes | degree 0, 8-bit colour and rotation, Gaussians only |
-//! | `.spz` 2, 3, 4 | yes | 2, 3 | quantised, Gaussians only; 1 and raw payloads are refused by name |
+//! | `.spz` 2, 3, 4 | yes | 2, 3 | quantised, Gaussians only; 1 and raw payloads are refused by name; see [`spz`] |
 //! | `.glb` | yes | yes | `KHR_gaussian_splatting`, exact, degree 0 to 3, Gaussians only; rigid parts in motion, see [`glb`] |
 //! | `.sog` 2, or its `meta.json` | feature `images` | no | quantised, Gaussians only, see `sog` |
 //! | `.ksplat`, compressed `.ply`, `.sog` 1 | no | no | refused by name |
@@ -44,6 +44,9 @@
 //! | PNG, JPEG | feature `images` | PNG | see `images` |
 //! | YUV4MPEG2 | no | yes | video as a stream, see [`y4m`] |
 //! | EXR | feature `exr` | yes | see `exr` |
+//!
+//! Whether splats are drawn anti-aliased ([`RawSplats::antialiased`]) is kept in `.ply` and `.spz` and read from `.sog`. What a file does
+//! not say or clamps is in [`SplatFormat::note`].
 #![cfg_attr(
     not(test),
     deny(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing, clippy::unreachable)

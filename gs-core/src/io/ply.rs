@@ -7,6 +7,9 @@
 //! converted to `f32`. Axes are taken as they are. An infinite opacity logit means opacity 0 or 1 exactly (files made from
 //! 8-bit formats hold it); it becomes the logit of 1e-6 or 1 − 1e-6. Any other value that is not finite is an error.
 //!
+//! A comment `SplatRenderMode: mip`, as Brush writes it, says that the splats are drawn anti-aliased
+//! ([`RawSplats::antialiased`]); Postshot's `antialiased 1` is read as well.
+//!
 //! Splats of other kernels have further properties at the end: `lambda_raw beta_raw lambda beta` (logits, then the values
 //! themselves, which are used where both are present) or `acutance`; a file without them holds Gaussians.
 //!
@@ -79,6 +82,7 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<RawSplats, IoEr
         ["lambda", ..] => Kernel::Frequency { lambdas: column(0).collect(), betas: column(1).collect() },
         _ => Kernel::Frequency { lambdas: column(0).map(sigmoid).collect(), betas: column(1).map(sigmoid).collect() },
     };
+    out.antialiased = header.antialiased;
     Ok(out)
 }
 
@@ -352,7 +356,8 @@ fn ascii_rows(
 pub fn write(splats: &RawSplats, out: &mut dyn Write) -> std::io::Result<()> {
     splats.check_shape().map_err(|e| std::io::Error::new(std::io::ErrorKind::InvalidInput, e))?;
     let rest = sh::coeffs(splats.degree) - 1;
-    writeln!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}", splats.len())?;
+    let drawn = if splats.antialiased { "comment SplatRenderMode: mip\n" } else { "" };
+    writeln!(out, "ply\nformat binary_little_endian 1.0\n{drawn}element vertex {}", splats.len())?;
     let mut names: Vec<String> = ["x", "y", "z", "nx", "ny", "nz"].map(str::to_owned).into();
     names.extend((0..3).map(|c| format!("f_dc_{c}")));
     names.extend((0..3 * rest).map(|i| format!("f_rest_{i}")));
@@ -444,7 +449,7 @@ mod tests {
     #[test]
     fn round_trip_keeps_every_bit() {
         for degree in 0..=3 {
-            let mut splats = cloud(17, degree, 5);
+            let mut splats = RawSplats { antialiased: degree == 1, ..cloud(17, degree, 5) };
             splats.means[3].x = f32::MIN_POSITIVE / 8.0;
             splats.quats[0] = [-0.0, 1e-30, 1e30, 0.0];
             let again = read_ok(&bytes(&splats));

@@ -1,8 +1,8 @@
 //! The header of a `.ply` file: elements, their properties, and the offset of the data.
 //!
 //! Source: G. Turk, "The PLY Polygon File Format", 1994, with the type names of its common dialects (`float32` for
-//! `float`, …). Lines end in LF or CRLF; `comment` and `obj_info` lines are skipped. A header must end within
-//! [`MAX_HEADER`] bytes. Nothing is allocated from a count: counts are only compared with the bytes present.
+//! `float`, …). Lines end in LF or CRLF; `obj_info` lines are skipped, and comments but for those that say how splats are
+//! drawn. A header must end within [`MAX_HEADER`] bytes. Nothing is allocated from a count: counts are only compared with the bytes present.
 
 use super::error::{At, Source};
 use super::{IoError, Limits};
@@ -103,6 +103,18 @@ pub(super) struct Header<'a> {
     pub(super) elements: Vec<Element<'a>>,
     /// Offset of the first data byte.
     pub(super) data_start: usize,
+    /// Whether the last comment that says how splats are drawn says anti-aliased.
+    pub(super) antialiased: bool,
+}
+
+/// Whether a comment says that splats are drawn anti-aliased; none for a comment on anything else. Source: Brush writes
+/// `SplatRenderMode: mip` or `default`, Postshot `antialiased 1` or `0`, and splat-transform 3 reads both, in any case (facts only).
+fn antialiased(comment: &str) -> Option<bool> {
+    let comment = comment.trim().to_ascii_lowercase();
+    match comment.strip_prefix("splatrendermode:") {
+        Some(mode) => Some(mode.trim() == "mip"),
+        None => comment.strip_prefix("antialiased ").map(|flag| flag.trim() == "1"),
+    }
 }
 
 /// Reads the lines of a header; `number` counts from 1, `offset` is that of the next line.
@@ -144,14 +156,18 @@ impl<'a> Header<'a> {
         if lines.next(src)?.trim_end() != "ply" {
             return Err(src.malformed(At::Line(1), "the first line is not `ply`", "give a PLY file"));
         }
-        let mut encoding = None;
+        let (mut encoding, mut drawn) = (None, false);
         let mut elements: Vec<Element<'a>> = Vec::new();
         loop {
             let line = lines.next(src)?;
             let at = At::Line(lines.number);
             let mut words = line.split_ascii_whitespace();
             match words.next() {
-                None | Some("comment" | "obj_info") => {}
+                None | Some("obj_info") => {}
+                Some("comment") => {
+                    let text = line.trim_start().strip_prefix("comment").unwrap_or_default();
+                    drawn = antialiased(text).unwrap_or(drawn);
+                }
                 Some("end_header") => break,
                 Some("format") => encoding = Some(parse_format(words, at, src)?),
                 Some("element") => {
@@ -177,7 +193,7 @@ impl<'a> Header<'a> {
         let Some(encoding) = encoding else {
             return Err(src.missing(At::Line(2), "format", "add a line such as `format binary_little_endian 1.0`"));
         };
-        Ok(Self { encoding, elements, data_start: lines.offset })
+        Ok(Self { encoding, elements, data_start: lines.offset, antialiased: drawn })
     }
 
     /// The element of a name, and the byte offset where its rows start (for text: the start of all data).
@@ -308,6 +324,21 @@ mod tests {
             assert_eq!((v.name, v.count, v.stride, v.properties[1].offset), ("vertex", 2, 9, 1));
             assert_eq!(h.elements[1].list, Some("vertex_index"));
         }
+    }
+
+    #[test]
+    fn comments_say_how_splats_are_drawn() {
+        let says = |comments: &[&str]| {
+            let lines: String = comments.iter().map(|c| format!("comment{c}\n")).collect();
+            parse(&format!("ply\nformat ascii 1.0\n{lines}end_header\n")).unwrap().antialiased
+        };
+        for yes in [" SplatRenderMode: mip", "  SPLATRENDERMODE:  MIP  ", " antialiased 1"] {
+            assert!(says(&[yes]), "{yes}");
+        }
+        for no in ["", " SplatRenderMode: default", " antialiased 0", " mip", " exported antialiased 1"] {
+            assert!(!says(&[no]), "{no}");
+        }
+        assert!(!says(&[" antialiased 1", " SplatRenderMode: default", " SH degree: 3"]), "the last one counts");
     }
 
     #[test]

@@ -31,6 +31,10 @@ pub struct RawSplats {
     pub degree: u8,
     /// Kernel with its activated parameters.
     pub kernel: Kernel,
+    /// Whether the splats are to be drawn anti-aliased, as they were trained: with opacities scaled by the square root of the determinant of
+    /// the projected covariance before dilation over that after it (Yu et al. 2024, Mip-Splatting). `.ply` (in a comment), `.spz` and `.sog`
+    /// say it; `.splat` and `.glb` have no place for it. Files that do not say it are read as `false`.
+    pub antialiased: bool,
 }
 
 /// Logit of an opacity, finite for every opacity in `[0, 1]` (see [`OPACITY_MARGIN`]).
@@ -55,6 +59,7 @@ impl RawSplats {
             sh: Vec::with_capacity(n * 3 * sh::coeffs(degree)),
             degree,
             kernel: Kernel::Gaussian,
+            antialiased: false,
         }
     }
 
@@ -122,7 +127,7 @@ impl RawSplats {
 
     /// The raw form of splats. Plain RGB becomes SH of degree 0. [`RawSplats::to_splats`] inverts it up to the rounding of
     /// `exp` and `ln` (relative 1e-6 for usual sizes), except that opacities are clamped to `[1e-6, 1 − 1e-6]` and zero
-    /// scales become 1.2e-38.
+    /// scales become 1.2e-38. [`Self::antialiased`] is off: [`Splats`] do not say how they are drawn.
     ///
     /// # Errors
     /// As [`Splats::check`].
@@ -140,6 +145,7 @@ impl RawSplats {
             sh,
             degree,
             kernel: splats.kernel.clone(),
+            antialiased: false,
         })
     }
 

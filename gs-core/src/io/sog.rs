@@ -26,10 +26,11 @@
 use super::error::{At, Source};
 use super::images::{Rgba8, decode_webp};
 use super::raw::finite_logit;
-use super::{IoError, Limits, RawSplats, read_file, zip};
+use super::{IoError, Limits, RawSplats, folder_of, read_file, zip};
 use crate::sh;
 use glam::Vec3;
 use serde::Deserialize;
+use std::fs;
 use std::path::Path;
 
 /// Largest `meta.json`: three codebooks have 20 kB.
@@ -47,7 +48,8 @@ pub struct SogHeader {
     pub count: usize,
     /// SH degree, 0 to 3.
     pub degree: u8,
-    /// Whether the cloud was trained with the antialiased projection.
+    /// Whether the cloud was trained with the antialiased projection: `antialias` is true, or `model` is `antialiased`, as
+    /// splat-transform writes since version 3.
     pub antialiased: bool,
 }
 
@@ -58,6 +60,8 @@ struct Meta {
     count: u64,
     #[serde(default)]
     antialias: bool,
+    #[serde(default)]
+    model: serde_json::Value,
     means: Option<Means>,
     scales: Option<Coded>,
     quats: Option<Files>,
@@ -98,7 +102,7 @@ struct Palette {
 /// No archive, a member that is missing or damaged, another version, values outside their codebooks, more than the limits allow.
 pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<(SogHeader, RawSplats), IoError> {
     let meta = zip::member(bytes, file, "meta.json", limits)?;
-    read_with(&meta, file, limits, &|name| zip::member(bytes, file, name, limits))
+    read_with(&meta, file, limits, bytes.len(), &|name| zip::member(bytes, file, name, limits))
 }
 
 /// Reads `meta.json` and the images beside it.
@@ -106,16 +110,19 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<(SogHeader, Raw
 /// # Errors
 /// As [`read()`]; a file that cannot be read.
 pub fn load(meta: &Path, limits: &Limits) -> Result<(SogHeader, RawSplats), IoError> {
-    let folder = meta.parent().unwrap_or(Path::new(""));
+    let folder = folder_of(meta);
     let text = read_file(meta, limits)?;
-    read_with(&text, &meta.display().to_string(), limits, &|name| read_file(&folder.join(name), limits))
+    let sizes = fs::read_dir(folder).into_iter().flatten().flatten().filter_map(|entry| entry.metadata().ok());
+    let packed = usize::try_from(sizes.fold(0u64, |sum, m| sum.saturating_add(m.len()))).unwrap_or(usize::MAX);
+    read_with(&text, &meta.display().to_string(), limits, packed, &|name| read_file(&folder.join(name), limits))
 }
 
-/// Reads from `meta.json` and a function from names to contents.
+/// Reads from `meta.json` and a function from names to contents; `packed` is the size of all files, bytes.
 fn read_with(
     meta: &[u8],
     file: &str,
     limits: &Limits,
+    packed: usize,
     get: &dyn Fn(&str) -> Result<Vec<u8>, IoError>,
 ) -> Result<(SogHeader, RawSplats), IoError> {
     let src = Source { file, format: "SOG" };
@@ -137,8 +144,10 @@ fn read_with(
         return Err(src.unsupported(format!("SOG with {degree} bands"), "export it with degree 3 or less"));
     }
     let count = limits.splats(src, meta.count, RawSplats::row_bytes(degree))?;
+    limits.expansion(src, meta.count.saturating_mul(RawSplats::row_bytes(degree) as u64), packed)?;
     let images = Images { src, limits, get, count };
     let mut out = RawSplats::with_capacity(0, degree);
+    out.antialiased = meta.antialias || meta.model == "antialiased";
     images.means(&means, &mut out)?;
     images.quats(&quats.files[0], &mut out)?;
     let log_scales = images.coded(&scales, "scales")?;
@@ -155,7 +164,7 @@ fn read_with(
         out.sh.extend_from_slice(rest.get(i * width..(i + 1) * width).unwrap_or_default());
     }
     out.refuse_non_finite(src, limits)?;
-    Ok((SogHeader { count, degree, antialiased: meta.antialias }, out))
+    Ok((SogHeader { count, degree, antialiased: out.antialiased }, out))
 }
 
 /// The images of a scene.

@@ -76,6 +76,18 @@ fn byte(v: f32) -> u8 {
     (v * 255.0).round().clamp(0.0, 255.0) as u8
 }
 
+/// How many colours [`write()`] clamps: those of degree 0 that are outside 0 to 1 by more than half a step.
+pub fn clamped(splats: &RawSplats) -> usize {
+    let half = 0.5 / 255.0;
+    let colors = splats.sh.chunks_exact(splats.sh_width()).flat_map(|row| row.iter().take(3));
+    colors.filter(|v| !(-half..=1.0 + half).contains(&color(**v))).count()
+}
+
+/// The value of a coefficient of degree 0, 0 to 1 where it can be stored.
+fn color(v: f32) -> f32 {
+    0.5 + sh::C0 as f32 * v
+}
+
 /// Writes splats as `.splat`; SH coefficients above degree 0 are dropped.
 ///
 /// # Errors
@@ -91,7 +103,7 @@ pub fn write(splats: &RawSplats, out: &mut dyn Write) -> std::io::Result<()> {
         row.clear();
         let linear = scale.to_array().map(f32::exp);
         mean.as_ref().iter().chain(&linear).for_each(|v| row.extend_from_slice(&v.to_le_bytes()));
-        row.extend(sh.iter().take(3).map(|v| byte(0.5 + sh::C0 as f32 * v)));
+        row.extend(sh.iter().take(3).map(|v| byte(color(*v))));
         row.push(byte(sigmoid(*opacity)));
         let unit = match rot::normalise(*quat).wxyz {
             [0.0, 0.0, 0.0, 0.0] => [1.0, 0.0, 0.0, 0.0],

@@ -15,8 +15,13 @@
 //! **Axes**: SPZ stores right-up-back, `.ply` holds right-down-front ([`RawSplats::flipped`] in y and z), unless the extension
 //! `SPZ_ADOBE_coordinate_system` names others. Other extensions are skipped.
 //!
-//! **Losses** (half a step): position 2^−(b+1), log-scale 1/32, opacity 1/510, colour coefficient 0.0131, SH 1/32
-//! (degree 1) or 1/16 clamped to [−1, 1). Version 1, uncompressed payloads and SH degree 4 are refused by name.
+//! **Losses** (half a step): position 2^−(b+1), log-scale 1/32 clamped to −10 … 5.94, opacity 1/510, colour coefficient 0.0131
+//! clamped to ±3.33, SH 1/32 (degree 1) or 1/16 clamped to [−1, 1). [`Clamped`] counts what was clamped.
+//! Version 1, uncompressed payloads and SH degree 4 are refused by name.
+//!
+//! **Positions** have 12 fraction bits (as the reference writer has), more where half a step would be more than an eighth of the standard
+//! deviation of a splat (along its longest axis; a hundredth of the splats may be smaller), fewer where the scene would not fit in 24 bits. A
+//! scene where half a step is more than the standard deviation of half of the splats is refused: it lies too far from its origin.
 //!
 //! ```
 //! use gs_core::io::{Limits, RawSplats, spz};
@@ -50,6 +55,10 @@ const FLIPPED: [bool; 3] = [false, true, true];
 const COLOR_SCALE: f32 = 0.15;
 /// Largest magnitude of a 24-bit position.
 const FIXED_MAX: f32 = 8_388_607.0;
+/// Most fraction bits of one.
+const MAX_BITS: u8 = 23;
+/// How far a mean may be moved along an axis where there are bits for it, as a share of its splat's longest standard deviation.
+const MOVED: f32 = 0.125;
 
 /// Version of the SPZ format to write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -66,17 +75,48 @@ pub enum Version {
 pub struct SpzOptions {
     /// Version of the format to write.
     pub version: Version,
-    /// Largest number of fraction bits of positions (0 to 23); fewer are used where the cloud would not fit.
+    /// Fraction bits of positions (0 to 23): more are used where splats are small, fewer where the cloud would not fit.
     pub fraction_bits: u8,
     /// Bits kept of degree-1 and of higher SH coefficients (1 to 8).
     pub sh_bits: [u8; 2],
-    /// Flag in the header: the cloud was trained with the antialiased projection.
-    pub antialiased: bool,
 }
 
 impl Default for SpzOptions {
     fn default() -> Self {
-        Self { version: Version::V3, fraction_bits: 12, sh_bits: [5, 4], antialiased: false }
+        Self { version: Version::V3, fraction_bits: 12, sh_bits: [5, 4] }
+    }
+}
+
+/// How many values [`write()`] moves to an end of their range: those that lose more than half a step by it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Clamped {
+    /// SH coefficients of degree 0.
+    pub colors: usize,
+    /// Logarithms of standard deviations.
+    pub log_scales: usize,
+    /// SH coefficients above degree 0.
+    pub sh: usize,
+}
+
+impl Clamped {
+    /// Of splats that are written with these options.
+    pub fn of(splats: &RawSplats, options: &SpzOptions) -> Self {
+        let outside = |v: f32, half: f32| !(-half..=255.0 + half).contains(&v);
+        let stored = splats.clone().flipped(FLIPPED);
+        let values = || stored.sh.chunks_exact(stored.sh_width()).flat_map(|row| row.iter().copied().enumerate());
+        let [first, later] = options.sh_bits.map(|bits| 0.5 * bucket(bits));
+        let half = |k: usize| if k < 3 * sh::coeffs(1) { first } else { later };
+        let log_scales = stored.log_scales.iter().flat_map(|s| s.to_array());
+        Self {
+            colors: values().filter(|(k, v)| *k < 3 && outside(color_steps(*v), 0.5)).count(),
+            log_scales: log_scales.filter(|v| outside(scale_steps(*v), 0.5)).count(),
+            sh: values().filter(|(k, v)| *k >= 3 && outside(128.0 * v + 128.0, half(*k))).count(),
+        }
+    }
+
+    /// All of them.
+    pub fn total(&self) -> usize {
+        self.colors + self.log_scales + self.sh
     }
 }
 
@@ -125,6 +165,7 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<(SpzHeader, Raw
 /// The splats in the axes of the file.
 fn decode(payload: &[u8], header: &SpzHeader) -> RawSplats {
     let mut out = RawSplats::with_capacity(header.count, header.degree);
+    out.antialiased = header.antialiased;
     let mut rest = payload;
     let mut array = |width: usize| {
         let (head, tail) = rest.split_at_checked(width * header.count).unwrap_or_default();
@@ -154,19 +195,53 @@ fn decode(payload: &[u8], header: &SpzHeader) -> RawSplats {
     out
 }
 
-/// Fraction bits with which every coordinate fits in 24 bits: at most `max_bits`.
-fn fraction_bits(splats: &RawSplats, max_bits: u8) -> std::io::Result<u8> {
+/// Fraction bits with which every coordinate fits in 24 bits and small splats keep their places; `usual` if these need no more.
+fn fraction_bits(splats: &RawSplats, usual: u8) -> std::io::Result<u8> {
+    let usual = usual.min(MAX_BITS);
+    let mut sizes: Vec<f32> = splats.log_scales.iter().map(|s| s.max_element()).collect();
+    if sizes.is_empty() {
+        return Ok(usual);
+    }
+    let places = [sizes.len() / 100, sizes.len() / 2];
+    let [small, half_of_them] = places.map(|k| sizes.select_nth_unstable_by(k, f32::total_cmp).1.exp());
     let largest = splats.means.iter().fold(0.0f32, |m, v| m.max(v.abs().max_element()));
-    (0..=max_bits.min(23)).rev().find(|&b| largest * (1u32 << b) as f32 <= FIXED_MAX).ok_or_else(|| {
-        let text = format!("a coordinate of {largest} does not fit SPZ's 24 bits; scale the scene down");
-        std::io::Error::new(std::io::ErrorKind::InvalidInput, text)
-    })
+    let invalid = |text: String| std::io::Error::new(std::io::ErrorKind::InvalidInput, text);
+    let most = (0..=MAX_BITS).rev().find(|&b| largest * (1u32 << b) as f32 <= FIXED_MAX);
+    let most = most.ok_or_else(|| {
+        invalid(format!("a coordinate of {largest} does not fit SPZ's 24 bits; scale the scene down, or write a .ply"))
+    })?;
+    let half_step = |b: u8| 0.5 / (1u32 << b) as f32;
+    let wanted = (usual..=MAX_BITS).find(|&b| half_step(b) <= MOVED * small).unwrap_or(MAX_BITS);
+    let bits = wanted.min(most);
+    if half_step(bits) > half_of_them {
+        return Err(invalid(format!(
+            "SPZ's 24 bits would move means by up to {}, more than the standard deviation of half of the splats ({half_of_them}), because a \
+             coordinate is {largest}; move the scene to the origin, or write a .ply",
+            half_step(bits)
+        )));
+    }
+    Ok(bits)
+}
+
+/// Steps of a byte between two values of an SH coefficient of `bits` bits.
+fn bucket(bits: u8) -> f32 {
+    (1u32 << (8 - bits.clamp(1, 8))) as f32
 }
 
 /// An SH coefficient in `bits` bits of a byte; zero is represented exactly.
 fn quantise_sh(v: f32, bits: u8) -> u8 {
-    let bucket = (1u32 << (8 - bits.clamp(1, 8))) as f32;
+    let bucket = bucket(bits);
     byte((v * 128.0 / bucket).round() * bucket + 128.0)
+}
+
+/// A coefficient of degree 0 in steps of a byte.
+fn color_steps(v: f32) -> f32 {
+    (COLOR_SCALE * v + 0.5) * 255.0
+}
+
+/// The logarithm of a standard deviation in steps of a byte.
+fn scale_steps(v: f32) -> f32 {
+    (v + 10.0) * 16.0
 }
 
 /// A number as a byte, rounded to nearest.
@@ -180,8 +255,8 @@ const LEVEL: u32 = 4;
 /// Writes splats as SPZ, compressed with gzip.
 ///
 /// # Errors
-/// Columns of unequal length, a value that is not finite or a coordinate above 2^23 (as `InvalidInput`), or the
-/// writer's own.
+/// Columns of unequal length, a value that is not finite, coordinates too large for 24 bits or for the size of the splats (as
+/// `InvalidInput`), or the writer's own.
 pub fn write(splats: &RawSplats, options: &SpzOptions, out: &mut dyn Write) -> std::io::Result<()> {
     let invalid = |text: String| std::io::Error::new(std::io::ErrorKind::InvalidInput, text);
     splats.check_shape().map_err(|e| invalid(e.to_string()))?;
@@ -194,7 +269,7 @@ pub fn write(splats: &RawSplats, options: &SpzOptions, out: &mut dyn Write) -> s
     let mut payload: Vec<u8> = MAGIC.to_vec();
     payload.extend((if options.version == Version::V2 { 2u32 } else { 3 }).to_le_bytes());
     payload.extend(count.to_le_bytes());
-    payload.extend([splats.degree, bits, u8::from(options.antialiased), 0]);
+    payload.extend([splats.degree, bits, u8::from(splats.antialiased), 0]);
     quantise(&splats.clone().flipped(FLIPPED), options, bits, &mut payload);
     let mut gz = GzEncoder::new(out, Compression::new(LEVEL));
     gz.write_all(&payload)?;
@@ -212,8 +287,8 @@ fn quantise(splats: &RawSplats, options: &SpzOptions, bits: u8, out: &mut Vec<u8
     }
     out.extend(splats.logit_opacities.iter().map(|&o| byte(sigmoid(o) * 255.0)));
     let rows = || splats.sh.chunks_exact(splats.sh_width());
-    out.extend(rows().flat_map(|r| r.iter().take(3)).map(|v| byte((COLOR_SCALE * v + 0.5) * 255.0)));
-    out.extend(splats.log_scales.iter().flat_map(|s| s.to_array()).map(|v| byte((v + 10.0) * 16.0)));
+    out.extend(rows().flat_map(|r| r.iter().take(3)).map(|v| byte(color_steps(*v))));
+    out.extend(splats.log_scales.iter().flat_map(|s| s.to_array()).map(|v| byte(scale_steps(v))));
     for quat in &splats.quats {
         let unit = match rot::normalise(*quat).wxyz {
             [0.0, 0.0, 0.0, 0.0] => [1.0, 0.0, 0.0, 0.0],
@@ -258,12 +333,12 @@ mod tests {
     fn round_trip_stays_within_the_declared_bounds() {
         for version in [Version::V2, Version::V3] {
             for degree in 0..=3 {
-                let splats = cloud(300, degree, 21);
-                let options = SpzOptions { version, antialiased: degree == 1, ..SpzOptions::default() };
+                let splats = RawSplats { antialiased: degree == 1, ..cloud(300, degree, 21) };
+                let options = SpzOptions { version, ..SpzOptions::default() };
                 let (header, again) = read_all(&encode(&splats, &options)).unwrap();
                 let number = if version == Version::V2 { 2 } else { 3 };
                 assert_eq!((header.version, header.fraction_bits, header.antialiased), (number, 12, degree == 1));
-                assert_eq!((again.len(), again.degree), (300, degree));
+                assert_eq!((again.len(), again.degree, again.antialiased), (300, degree, degree == 1));
                 for i in 0..splats.len() {
                     assert!((again.means[i] - splats.means[i]).abs().max_element() <= 1.01 / 8192.0);
                     assert!((again.log_scales[i] - splats.log_scales[i]).abs().max_element() <= 1.0 / 32.0 + 1e-5);
@@ -296,12 +371,51 @@ mod tests {
         let (header, again) = read_all(&encode(&splats, &SpzOptions::default())).unwrap();
         assert_eq!(header.fraction_bits, 10);
         assert!((again.means[1].z - 5000.0).abs() < 1e-3);
+        let error = |splats: &RawSplats| {
+            write(splats, &SpzOptions::default(), &mut Vec::new()).expect_err("out of range").to_string()
+        };
         splats.means[1].z = 1e7;
-        let error = write(&splats, &SpzOptions::default(), &mut Vec::new()).unwrap_err();
-        assert!(error.to_string().contains("24 bits"));
+        assert!(error(&splats).contains("a coordinate of 10000000 does not fit"));
+        // Four fraction bits: half a step is 1/32.
+        splats.means[1].z = 5e5;
+        splats.log_scales.fill(Vec3::splat(0.03f32.ln()));
+        assert!(error(&splats).contains("up to 0.03125, more than"), "{}", error(&splats));
+        splats.log_scales.fill(Vec3::splat(0.04f32.ln()));
+        assert_eq!(read_all(&encode(&splats, &SpzOptions::default())).unwrap().0.fraction_bits, 4);
         splats.means[1].z = f32::NAN;
-        let error = write(&splats, &SpzOptions::default(), &mut Vec::new()).unwrap_err();
-        assert!(error.to_string().contains("row 1, `means`"));
+        assert!(error(&splats).contains("row 1, `means`"));
+    }
+
+    #[test]
+    fn small_splats_keep_their_places() {
+        let mut splats = cloud(200, 0, 24);
+        splats.means.iter_mut().for_each(|m| *m *= 0.01);
+        splats.log_scales.iter_mut().for_each(|s| *s -= 100f32.ln());
+        let (header, again) = read_all(&encode(&splats, &SpzOptions::default())).unwrap();
+        assert!((13..23).contains(&header.fraction_bits), "{}", header.fraction_bits);
+        let half = 0.5 / (1u32 << header.fraction_bits) as f32;
+        let moved =
+            again.means.iter().zip(&splats.means).map(|(a, b)| (*a - *b).abs().max_element()).fold(0.0, f32::max);
+        assert!(moved <= 1.01 * half, "{moved} {half}");
+        let near = splats.log_scales.iter().filter(|s| moved <= MOVED * s.max_element().exp()).count();
+        assert!(near >= 198, "{near}");
+    }
+
+    #[test]
+    fn clamped_values_are_counted() {
+        let count = |splats: &RawSplats| Clamped::of(splats, &SpzOptions::default());
+        let mut splats = cloud(3, 2, 25);
+        splats.sh.fill(0.5);
+        assert_eq!(count(&splats).total(), 0);
+        // Column, the last value that loses no more than half a step, and one beyond it.
+        splats.log_scales[0] = Vec3::new(-10.03, -10.04, 6.0);
+        splats.sh[27] = 3.34;
+        splats.sh[28] = 3.36;
+        (splats.sh[30], splats.sh[31], splats.sh[39], splats.sh[40]) = (1.02, -1.05, -1.05, 1.3);
+        assert_eq!(count(&splats), Clamped { colors: 1, log_scales: 2, sh: 2 });
+        assert_eq!(count(&splats).total(), 5);
+        let again = read_all(&encode(&splats, &SpzOptions::default())).unwrap().1;
+        assert_eq!(again.log_scales[0], Vec3::new(-10.0, -10.0, 5.9375));
     }
 
     #[test]

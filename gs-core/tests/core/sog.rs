@@ -57,6 +57,25 @@ fn the_archive_and_its_folder_are_read_as_their_writer_reads_them() {
 }
 
 #[test]
+fn both_words_for_antialiased_are_read() {
+    for (words, want) in [
+        ("\"antialias\":true", true),
+        ("\"model\":\"antialiased\"", true),
+        ("\"antialias\":false,\"model\":\"default\"", false),
+    ] {
+        let (_dir, meta) = unpacked(|name, member| match name {
+            "meta.json" => {
+                let text = String::from_utf8(member).unwrap();
+                Some(text.replacen("\"version\":2", &format!("\"version\":2,{words}"), 1).into_bytes())
+            }
+            _ => Some(member),
+        });
+        let (header, splats) = sog::load(&meta, &Limits::default()).unwrap();
+        assert_eq!((header.antialiased, splats.antialiased), (want, want), "{words}");
+    }
+}
+
+#[test]
 fn faults_are_named() {
     type Change<'a> = &'a dyn Fn(&str, Vec<u8>) -> Option<Vec<u8>>;
     let error = |change: Change<'_>| {
@@ -72,7 +91,9 @@ fn faults_are_named() {
     };
     assert!(edited("\"version\":2,", "").contains("SOG version 1 is not supported"));
     assert!(edited("\"version\":2", "\"version\":3").contains("SOG version 3"));
-    assert!(edited("\"count\":60", "\"count\":1000000").contains("means_l.webp has"));
+    assert!(edited("\"count\":60", "\"count\":100000").contains("means_l.webp has"));
+    // Images without detail have millions of pixels in few bytes.
+    assert!(edited("\"count\":60", "\"count\":1000000").contains("`max_expansion`"));
     assert!(edited("\"means_l.webp\"", "\"../means_l.webp\"").contains("not one beside it"));
     assert!(edited("\"bands\":2", "\"bands\":1").contains("pixels wide, not 192"));
     assert!(edited("\"bands\":2", "\"bands\":4").contains("4 bands"));

@@ -94,14 +94,23 @@ fn glb_key_frames() {
         views.join(", "),
         accessors.join(", ")
     );
-    let json = json.into_bytes();
-    let padded = |mut bytes: Vec<u8>, with: u8| {
+    let read =
+        |bytes: &[u8]| glb::read_scene(bytes, "b.glb", &Limits { max_expansion: 16, ..Limits::default() }).map(|_| ());
+    assert!(refused("400 times 20 000 key frames", &glb_file(&json, &binary), read).contains("decoded bytes"));
+    let lists = format!("[{}0]", "[],".repeat(200_000));
+    assert!(refused("200 000 lists", &glb_file(&lists, &[]), read).contains("decoded bytes"));
+}
+
+/// A binary glTF of two chunks.
+fn glb_file(json: &str, binary: &[u8]) -> Vec<u8> {
+    let padded = |bytes: &[u8], with: u8| {
+        let mut bytes = bytes.to_vec();
         bytes.resize(bytes.len().next_multiple_of(4), with);
         bytes
     };
-    let (json, binary) = (padded(json, b' '), padded(binary, 0));
+    let (json, binary) = (padded(json.as_bytes(), b' '), padded(binary, 0));
     let word = |v: usize| u32::try_from(v).expect("small").to_le_bytes();
-    let file = [
+    [
         &b"glTF"[..],
         &word(2),
         &word(28 + json.len() + binary.len()),
@@ -112,10 +121,7 @@ fn glb_key_frames() {
         b"BIN\0",
         &binary,
     ]
-    .concat();
-    let read =
-        |bytes: &[u8]| glb::read_scene(bytes, "b.glb", &Limits { max_expansion: 16, ..Limits::default() }).map(|_| ());
-    assert!(refused("400 times 20 000 key frames", &file, read).contains("decoded bytes"));
+    .concat()
 }
 
 #[test]

@@ -191,7 +191,8 @@ impl Dynamics for VelocityField {
         crate::pinn::regularise(self, seed, step)
     }
 
-    /// Local twists, and rates `v̄'` by which [`Motion::acceleration`] is that of what flows, `∂_t u + (∇u) u`.
+    /// Local twists, and rates `v̄'` by which [`Motion::acceleration`] is that of what flows, `∂_t u + (∇u) u`. Rates `w'` are 0: they
+    /// would need second derivatives of the network.
     fn motions(&self, start: Start<'_>) -> Vec<Motion<f32>> {
         let Start { x, t, .. } = start;
         let mut out = vec![Motion::default(); x.len()];

@@ -62,7 +62,7 @@ impl View {
         let (limits_h, limits_l) = split4(jacobian_limits(camera));
         let p = camera.position();
         let (position_h, position_l) = split4([p.x, p.y, p.z, 0.0]);
-        let min_alpha = options.min_alpha;
+        let (min_alpha, stop) = (options.min_alpha, options.stop.max(RasterOptions::MIN_STOP));
         let support = (options.box_sigmas.powi(2) * LOG2_SCALE_SQUARED).min(ENDLESS);
         let [r, g, b] = options.background;
         Self {
@@ -75,7 +75,7 @@ impl View {
             position_h,
             position_l,
             background: [r, g, b, 0.0],
-            thresholds: [min_alpha, min_alpha.log2(), options.max_alpha, options.stop].map(|v| v as f32),
+            thresholds: [min_alpha, min_alpha.log2(), options.max_alpha, stop].map(|v| v as f32),
             range: [options.near, options.far.min(ENDLESS), options.dilation, support].map(|v| v as f32),
             limits: [round_up(min_alpha), 0.0, 0.0, 0.0],
             sizes: [camera.width, camera.height, camera.width.div_ceil(TILE), camera.height.div_ceil(TILE)],

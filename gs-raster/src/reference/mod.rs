@@ -28,6 +28,8 @@
 //!                            (ψ: [`gs_core::kernel`]; one that never decays is cut at q > kernel_cut)
 //! stop before the sample with T (1 − α) ≤ stop;   C += T α c;   D += T α t_z;   T ← T (1 − α)
 //! ```
+//! Colours are seen from the camera centre `−R_v⁻¹ t_v`, the fast path's from `−R_vᵀ t_v`: the inverse holds while the entries of `R_v`
+//! are varied one by one, and on rotations the two are the same.
 
 mod blend;
 mod project;

@@ -150,13 +150,39 @@ impl ImageCache {
     /// As [`Self::get`].
     pub fn decode_ahead(&self, v: &View) -> Result<(), DataError> {
         let key = source_key(&v.image, v);
-        let c = self.camera(v);
-        if 4 * c.width as usize * c.height as usize > self.max_bytes || self.lock().images.contains_key(&key) {
+        if self.bytes_of(v) > self.max_bytes || self.lock().images.contains_key(&key) {
             return Ok(());
         }
         let image = Arc::new(self.produce(v)?);
         self.lock().keep(key, v, &image, false, self.max_bytes);
         Ok(())
+    }
+
+    /// Keeps what [`Self::get`] gives for a view, made of `whole`, its image from a cache of scale 1: the same pixels, and nothing is
+    /// decoded. Nothing is dropped for it: where there is no room it is not kept.
+    pub fn keep_reduced(&self, v: &View, whole: &ImageU8) {
+        let key = source_key(&v.image, v);
+        let size = self.bytes_of(v);
+        let has_room = |held: &Held| held.bytes + size <= self.max_bytes && !held.images.contains_key(&key);
+        if has_room(&self.lock()) {
+            let image = Arc::new(self.reduced(v, whole).unwrap_or_else(|| whole.clone()));
+            let mut held = self.lock();
+            if has_room(&held) {
+                held.keep(key, v, &image, false, self.max_bytes);
+            }
+        }
+    }
+
+    /// Bytes of the image that [`Self::get`] gives for a view.
+    fn bytes_of(&self, v: &View) -> usize {
+        let c = self.camera(v);
+        4 * c.width as usize * c.height as usize
+    }
+
+    /// An image of the size of the view's camera at [`Self::scale`]; none where that is 1.
+    fn reduced(&self, v: &View, whole: &ImageU8) -> Option<ImageU8> {
+        let c = self.camera(v);
+        (self.scale < 1.0).then(|| whole.box_downscaled(c.width as usize, c.height as usize))
     }
 
     /// Camera-space z of a view in world units, `[H, W, 1]` at the size of [`Self::camera`], 0 where nothing was measured; none
@@ -231,11 +257,9 @@ impl ImageCache {
                 mask::clear_outside(&mut image, v);
             }
         }
-        if self.scale < 1.0 {
-            let c = self.camera(v);
-            image = image.box_downscaled(c.width as usize, c.height as usize);
-        }
-        Ok(image)
+        self.lock().decoded += 1;
+        let reduced = self.reduced(v, &image);
+        Ok(reduced.unwrap_or(image))
     }
 
     /// No code under the lock panics; data behind a poisoned lock would still be consistent.
@@ -253,7 +277,6 @@ impl Held {
     }
 
     fn keep(&mut self, key: Key, v: &View, image: &Arc<ImageU8>, used: bool, max_bytes: usize) {
-        self.decoded += 1;
         let size = image.data.len();
         if size > max_bytes || self.images.contains_key(&key) {
             return;
@@ -404,6 +427,21 @@ mod tests {
         assert_eq!((small.width, small.height), (c.width as usize, c.height as usize));
         assert_eq!(small.pixel(0, 0)[0], 35, "mean of 0, 10, 60, 70");
         assert!(Arc::ptr_eq(&ImageCache::new(0, 1.0).get(&v).unwrap(), &image), "memory is not copied at full size");
+    }
+
+    #[test]
+    fn what_is_kept_of_a_whole_image_is_what_would_be_decoded() {
+        let data = (0..6 * 4u8).flat_map(|k| [k * 10, 7, k, if k % 5 == 0 { 90 } else { 255 }]).collect();
+        let v = view(ImageSource::Memory(Arc::new(ImageU8 { width: 6, height: 4, data })), 6, 4);
+        let whole = ImageCache::new(0, 1.0).get(&v).unwrap();
+        let (decoded, kept) = (ImageCache::new(0, 0.5), ImageCache::new(4 * 3 * 2, 0.5));
+        kept.keep_reduced(&v, &whole);
+        assert_eq!(kept.get(&v).unwrap(), decoded.get(&v).unwrap());
+        assert_eq!([&decoded, &kept].map(ImageCache::decoded), [1, 0]);
+        let other = View { opaque: true, ..v.clone() };
+        kept.keep_reduced(&other, &whole);
+        assert_eq!(kept.bytes(), 4 * 3 * 2, "no room for another");
+        assert_eq!((kept.get(&v).unwrap().width, kept.decoded()), (3, 0), "the first stays");
     }
 
     #[test]

@@ -26,10 +26,12 @@ const SIDE: usize = 64;
 const MAX_VIEWS: usize = 160;
 /// Images are shrunk to about this many pixels per side.
 const IMAGE_SIDE: f64 = 200.0;
+/// Most bytes of reduced images that are kept for [`carve`].
+const IMAGE_BYTES: usize = 64 << 20;
 /// Share of the views that must agree.
 const AGREEMENT: f64 = 0.95;
 /// Length of a run of views in a dynamic scene: at least this many, and the number of all views over `RUN_PART`.
-pub(super) const MIN_RUN: usize = 8;
+const MIN_RUN: usize = 8;
 const RUN_PART: usize = 12;
 /// Alpha above which a pixel belongs to the silhouette.
 const OPAQUE: u8 = 16;
@@ -91,7 +93,7 @@ pub(super) struct Hull {
 
 impl Hull {
     pub(super) fn carve(data: &Dataset) -> Result<Self, DataError> {
-        let views = silhouettes(&data.train, !data.has_alpha, data.max_image_mib)?;
+        let views = silhouettes(&data.train, !data.has_alpha, data.max_image_mib, None)?;
         Ok(Self::of(&views, data, AGREEMENT))
     }
 
@@ -162,17 +164,29 @@ pub struct Carved {
     hull: Hull,
 }
 
+/// Whether there are alpha or masks to carve a hull.
+pub(super) fn has_silhouettes(data: &Dataset) -> bool {
+    data.has_alpha || data.train.iter().filter(|v| v.mask.is_some()).count() >= MIN_RUN
+}
+
+/// An empty cache of the images that [`carve`] looks at; none where there are neither alpha nor masks. What it holds
+/// ([`ImageCache::keep_reduced`]) is not decoded again.
+pub fn images(data: &Dataset) -> Option<ImageCache> {
+    let empty = || ImageCache::new(IMAGE_BYTES, scale(&chosen(&data.train, !data.has_alpha)));
+    has_silhouettes(data).then(|| empty().with_max_image_mib(data.max_image_mib))
+}
+
 /// Carves the visual hull of the training views. A cell is kept where a share `agreement`, in 0..1, of the views that see it show
-/// it inside. None where there are neither alpha nor masks.
+/// it inside. None where there are neither alpha nor masks. `images` may hold some of the images ([`images`]).
 ///
 /// # Errors
 /// Those of decoding the images.
-pub fn carve(data: &Dataset, agreement: f64) -> Result<Option<Carved>, DataError> {
-    if !data.has_alpha && data.train.iter().filter(|v| v.mask.is_some()).count() < MIN_RUN {
+pub fn carve(data: &Dataset, agreement: f64, images: Option<&ImageCache>) -> Result<Option<Carved>, DataError> {
+    if !has_silhouettes(data) {
         return Ok(None);
     }
     let (by_mask, max_image_mib) = (!data.has_alpha, data.max_image_mib);
-    let silhouettes = silhouettes(&data.train, by_mask, max_image_mib)?;
+    let silhouettes = silhouettes(&data.train, by_mask, max_image_mib, images)?;
     let hull = Hull::of(&silhouettes, data, agreement);
     Ok(Some(Carved { silhouettes, by_mask, max_image_mib, hull }))
 }
@@ -189,12 +203,17 @@ impl Carved {
         Self { silhouettes, hull, ..*self }
     }
 
-    /// The silhouettes of other views, such as held-out ones, ascending in time: a selection of many.
+    /// The silhouettes of other views, such as held-out ones, ascending in time: a selection of many. `images` as for [`carve`].
     ///
     /// # Errors
     /// Those of decoding the images.
-    pub fn silhouettes_of(&self, views: &[View]) -> Result<Vec<Silhouette>, DataError> {
-        silhouettes(views, self.by_mask, self.max_image_mib)
+    pub fn silhouettes_of(&self, views: &[View], images: Option<&ImageCache>) -> Result<Vec<Silhouette>, DataError> {
+        silhouettes(views, self.by_mask, self.max_image_mib, images)
+    }
+
+    /// Whether [`Dataset::start`] has points of the hull of `data`, whose training views carved this one.
+    pub fn gives_points(&self, data: &Dataset) -> bool {
+        !Hull::of(&self.silhouettes, data, AGREEMENT).cells.is_empty()
     }
 
     /// Colours of the nearest projected cells in a camera's image, display-encoded RGB; none where no cell covers a pixel.
@@ -234,14 +253,30 @@ impl Carved {
     }
 }
 
-/// The views ascending in time, a selection at reduced size; `by_mask` takes those with a mask, which becomes their alpha.
-fn silhouettes(train: &[View], by_mask: bool, max_image_mib: Option<u32>) -> Result<Vec<Silhouette>, DataError> {
+/// A selection of the views with their indices, ascending in time; `by_mask` takes those with a mask.
+fn chosen(views: &[View], by_mask: bool) -> Vec<(usize, &View)> {
     let mut order: Vec<(usize, &View)> =
-        train.iter().enumerate().filter(|(_, v)| !by_mask || v.mask.is_some()).collect();
+        views.iter().enumerate().filter(|(_, v)| !by_mask || v.mask.is_some()).collect();
     order.sort_by(|a, b| a.1.time.normalised.total_cmp(&b.1.time.normalised));
-    let chosen: Vec<(usize, &View)> = super::spread(order.len(), MAX_VIEWS).into_iter().map(|k| order[k]).collect();
+    super::spread(order.len(), MAX_VIEWS).into_iter().map(|k| order[k]).collect()
+}
+
+/// Factor on the size of the images of chosen views.
+fn scale(chosen: &[(usize, &View)]) -> f64 {
     let largest = chosen.iter().map(|(_, v)| v.camera.width.max(v.camera.height)).max().unwrap_or(1);
-    let cache = ImageCache::new(0, IMAGE_SIDE / f64::from(largest)).with_max_image_mib(max_image_mib);
+    IMAGE_SIDE / f64::from(largest)
+}
+
+/// The chosen views at reduced size; `by_mask` takes the masks for alpha. Images are those of `images` if it has their scale.
+fn silhouettes(
+    views: &[View],
+    by_mask: bool,
+    max_image_mib: Option<u32>,
+    images: Option<&ImageCache>,
+) -> Result<Vec<Silhouette>, DataError> {
+    let chosen = chosen(views, by_mask);
+    let own = ImageCache::new(0, scale(&chosen)).with_max_image_mib(max_image_mib);
+    let cache = images.filter(|i| i.scale() == own.scale()).unwrap_or(&own);
     let load = |&(index, v): &(usize, &View)| {
         let mut image = cache.get(v)?;
         if let Some(mask) = cache.mask(v)?.filter(|_| by_mask) {

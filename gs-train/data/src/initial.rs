@@ -10,7 +10,7 @@ use glam::Vec3;
 use gs_core::Rng;
 
 use super::error::DataError;
-use super::hull::{Hull, MIN_RUN};
+use super::hull::{Hull, has_silhouettes};
 use super::{Dataset, PointCloud};
 
 impl Dataset {
@@ -40,7 +40,7 @@ impl Dataset {
     /// # Errors
     /// As [`Self::initial_points`].
     pub(super) fn hull_points(&self, n: usize, seed: u64) -> Result<Option<PointCloud>, DataError> {
-        if !self.has_alpha && self.train.iter().filter(|v| v.mask.is_some()).count() < MIN_RUN {
+        if !has_silhouettes(self) {
             return Ok(None);
         }
         let hull = Hull::carve(self)?;

@@ -81,7 +81,7 @@ pub fn write_points(cloud: &PointCloud, out: &mut dyn Write) -> std::io::Result<
     writeln!(out, "end_header")?;
     for (p, c) in cloud.positions.iter().zip(&cloud.colors) {
         p.to_array().iter().try_for_each(|v| out.write_all(&v.to_le_bytes()))?;
-        out.write_all(&c.map(|v| cast::to_u8(v.clamp(0.0, 1.0) * 255.0 + 0.5)))?;
+        out.write_all(&c.map(|v| cast::to_u8((v.clamp(0.0, 1.0) * 255.0).round())))?;
     }
     Ok(())
 }

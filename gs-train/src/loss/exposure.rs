@@ -1,16 +1,30 @@
-//! Images of one scene with exposures and white balances of their own. Every image has a linear map of colours, as in Hierarchical 3D Gaussians (Kerbl et
-//! al. 2024), which learns affine ones by gradients. Here each is found by least squares whenever its image is drawn.
+//! Images of one scene with exposures and white balances of their own. Every image has a map of colours: affine and learnt by gradients in Hierarchical 3D
+//! Gaussians (Kerbl et al. 2024). Here each is found by least squares whenever its image is drawn, linear or, with [`ExposureConfig::offset`], affine.
 //!
 //! ```text
 //! loss of image k:   E_k x against y          x: frame, y: image k, E_k constant
 //! then               E_k ← ½ (E_k + M_k)      M_k: the map from x to y (gs_metrics::ColorMap)
 //! and                E_j ← E_j Ē⁻¹            for all images j: their mean stays the identity
 //! ```
-//! A background is no part of the scene and keeps its colour: `x` and `y` are what is before it, `1 − α` of it being seen, and it is added again after the map.
-//! The last line holds the colours of the scene: brighter splats and darker maps would give the same images. Saturated values of an image are met by anything
+//! With an offset `o` the maps are `4×4`, `(E o; 0 1)`, and act on a colour and its alpha: frames are premultiplied by their alpha `α`. The lines are the
+//! same.
+//!
+//! A background `b` is no part of the scene and keeps its colour: `x` and `y` are what is before it, `1 − α` of it being seen, and it is added again after
+//! the map.
+//!
+//! ```text
+//! x ↦ E (x − (1 − α) b) + α o + (1 − α) b  =  E x + α o + (1 − α) (b − E b)
+//! for the gradient g of the mapped colours:   dL/dx = Eᵀ g        dL/dα = (E b + o − b) · g
+//! ```
+//! So alpha has a gradient before a black background as well, where there is an offset.
+//!
+//! The mean holds the colours of the scene: brighter splats and darker maps would give the same images. Saturated values of an image are met by anything
 //! above them, which then counts as they do and has no gradient.
 
-use gs_core::Image;
+#[cfg(test)]
+mod tests;
+
+use gs_core::{Image, cast};
 use gs_metrics::color_map::SATURATED;
 use gs_metrics::{ColorMap, MetricError};
 use gs_raster::{Frame, FrameGrad};
@@ -26,12 +40,15 @@ pub struct ExposureConfig {
     pub after: f64,
     /// What holds the maps near the identity ([`ColorMap::fit`]), above 0.
     pub ridge: f64,
+    /// Whether the maps have offsets: affine ones, not linear ones.
+    #[serde(default)]
+    pub offset: bool,
 }
 
 impl Default for ExposureConfig {
     /// Frames are compared as they are.
     fn default() -> Self {
-        Self { fit: false, after: 0.0, ridge: 1.0 }
+        Self { fit: false, after: 0.0, ridge: 1.0, offset: false }
     }
 }
 
@@ -50,6 +67,8 @@ pub struct ExposureFit {
     pub map: ColorMap,
     /// What holds the map that is fitted anew near the identity.
     pub ridge: f64,
+    /// Whether that map has an offset.
+    pub offset: bool,
 }
 
 /// A frame in the colours of its image, with buffers kept between calls.
@@ -71,18 +90,24 @@ fn add_background(colors: &mut Image, alpha: &[f32], background: [f32; 3], by: f
     }
 }
 
-/// The map that brings what `frame` shows before a background nearest to what `target` shows there ([`ColorMap::fit`]). `colors` becomes what the frame shows.
+/// The map, with an offset if it may have one, that brings what `frame` shows before a background nearest to what `target` shows there ([`ColorMap::fit`]).
+/// `colors` becomes what the frame shows.
 pub(crate) fn fit_before(
     frame: &Frame,
     background: [f32; 3],
     target: &Image,
     mask: Option<&Image>,
     ridge: f64,
+    offset: bool,
     colors: &mut Image,
 ) -> Result<ColorMap, MetricError> {
+    let fit = |colors: &Image, shown: &Image| match offset {
+        true => ColorMap::fit_with_offset(colors, &frame.alpha, shown, mask, ridge),
+        false => ColorMap::fit(colors, shown, mask, ridge),
+    };
     colors.clone_from(&frame.rgb);
     if background == [0.0; 3] {
-        return ColorMap::fit(colors, target, mask, ridge);
+        return fit(colors, target);
     }
     let mut shown = target.clone();
     [&mut *colors, &mut shown].into_iter().for_each(|image| add_background(image, &frame.alpha, background, -1.0));
@@ -92,21 +117,20 @@ pub(crate) fn fit_before(
             shown.fill(SATURATED);
         }
     }
-    ColorMap::fit(colors, &shown, mask, ridge)
+    fit(colors, &shown)
 }
 
 /// Maps what a frame shows before a background, and puts it before the background again.
 pub(crate) fn map_before(map: &ColorMap, frame: &Frame, background: [f32; 3], colors: &mut Image) {
-    map.apply(colors);
+    map.apply_premultiplied(colors, &frame.alpha);
     add_background(colors, &frame.alpha, background, 1.0);
 }
 
 impl Mapped {
-    /// From the gradient with respect to its colours, to that with respect to colours and alpha of the frame: with colours `x`, mapped ones
-    /// `E x + (1 − α) (b − E b)`.
+    /// From the gradient with respect to its colours, to that with respect to colours and alpha of the frame.
     pub(super) fn pull_back(&self, map: &ColorMap, background: [f32; 3], grad: &mut FrameGrad) {
         self.met.iter().for_each(|&at| grad.rgb[at] = 0.0);
-        if background != [0.0; 3] {
+        if background != [0.0; 3] || map.offset != [0.0; 3] {
             let mut mapped = Image { width: 1, height: 1, channels: 3, data: background.to_vec() };
             map.apply(&mut mapped);
             let slope: [f32; 3] = std::array::from_fn(|c| mapped.data[c] - background[c]);
@@ -129,7 +153,7 @@ impl ExposureFit {
         mapped: &mut Mapped,
     ) -> Result<ColorMap, MetricError> {
         let Mapped { colors, met } = mapped;
-        let best = fit_before(frame, background, target, mask, self.ridge, colors)?;
+        let best = fit_before(frame, background, target, mask, self.ridge, self.offset, colors)?;
         map_before(&self.map, frame, background, colors);
         met.clear();
         for (at, (v, y)) in colors.data.iter_mut().zip(&target.data).enumerate() {
@@ -145,266 +169,75 @@ impl ExposureFit {
 /// Share of a new map in that of its image.
 const NEW: f64 = 0.5;
 
-/// The maps of all training images, row by row; empty before the first was fitted.
+/// The maps of all training images; empty before the first was fitted.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Exposures(Vec<[f32; 9]>);
+pub(crate) struct Exposures {
+    /// Matrices, row by row.
+    matrices: Vec<[f32; 9]>,
+    /// As many offsets; empty while all are 0.
+    offsets: Vec<[f32; 3]>,
+}
 
 impl Exposures {
-    /// From the values of a checkpoint.
-    pub(crate) fn of(values: &[f32]) -> Self {
-        Self(values.as_chunks().0.to_vec())
+    /// From the values of a checkpoint: matrices, and as many offsets or none.
+    pub(crate) fn of(matrices: &[f32], offsets: &[f32]) -> Self {
+        Self { matrices: matrices.as_chunks().0.to_vec(), offsets: offsets.as_chunks().0.to_vec() }
     }
 
-    /// For a checkpoint.
-    pub(crate) fn values(&self) -> &[f32] {
-        self.0.as_flattened()
+    /// For a checkpoint: matrices and offsets.
+    pub(crate) fn values(&self) -> [&[f32]; 2] {
+        [self.matrices.as_flattened(), self.offsets.as_flattened()]
     }
 
     /// The map of an image.
     pub(crate) fn map(&self, image: usize) -> ColorMap {
-        self.0.get(image).map_or(ColorMap::IDENTITY, map_of)
+        let offset = self.offsets.get(image).map_or([0.0; 3], |offset| offset.map(f64::from));
+        self.matrices.get(image).map_or(ColorMap::IDENTITY, |rows| ColorMap { offset, ..map_of(rows) })
     }
 
     /// Forgets all maps unless they are of so many images: those of another number are others.
     pub(crate) fn keep_of(&mut self, images: usize) {
-        if self.0.len() != images {
-            self.0.clear();
+        if self.matrices.len() != images {
+            *self = Self::default();
         }
     }
 
     /// Another map was fitted to an image, of so many.
     pub(crate) fn blend_in(&mut self, image: usize, map: &ColorMap, images: usize) {
         self.keep_of(images);
-        self.0.resize(images, rows_of(&ColorMap::IDENTITY));
-        self.0[image] = rows_of(&self.map(image).blend(map, NEW));
-        let mean = |k: usize| self.0.iter().map(|map| f64::from(map[k])).sum::<f64>() / images as f64;
-        let mean = ColorMap { matrix: std::array::from_fn(|row| std::array::from_fn(|c| mean(3 * row + c))) };
-        if let Some(undo) = mean.inverse() {
-            self.0.iter_mut().for_each(|map| *map = rows_of(&map_of(map).after(&undo)));
+        self.matrices.resize(images, rows_of(&ColorMap::IDENTITY));
+        let blended = self.map(image).blend(map, NEW);
+        self.set(image, &blended);
+        if let Some(undo) = self.mean().inverse() {
+            for image in 0..images {
+                let map = self.map(image).after(&undo);
+                self.set(image, &map);
+            }
         }
+    }
+
+    fn set(&mut self, image: usize, map: &ColorMap) {
+        self.matrices[image] = rows_of(map);
+        if self.offsets.is_empty() && map.offset != [0.0; 3] {
+            self.offsets.resize(self.matrices.len(), [0.0; 3]);
+        }
+        if let Some(offset) = self.offsets.get_mut(image) {
+            *offset = map.offset.map(cast::to_f32);
+        }
+    }
+
+    fn mean(&self) -> ColorMap {
+        let images = self.matrices.len() as f64;
+        let entry = |k: usize| self.matrices.iter().map(|map| f64::from(map[k])).sum::<f64>() / images;
+        let offset = |c: usize| self.offsets.iter().map(|offset| f64::from(offset[c])).sum::<f64>() / images;
+        ColorMap { offset: std::array::from_fn(offset), ..map_of(&std::array::from_fn(entry)) }
     }
 }
 
-fn map_of(rows: &[f32; 9]) -> ColorMap {
-    ColorMap { matrix: std::array::from_fn(|row| std::array::from_fn(|c| f64::from(rows[3 * row + c]))) }
+fn map_of<T: Copy + Into<f64>>(rows: &[T; 9]) -> ColorMap {
+    ColorMap::linear(std::array::from_fn(|row| std::array::from_fn(|c| rows[3 * row + c].into())))
 }
 
-#[expect(clippy::cast_possible_truncation, reason = "colours are single precision")]
 fn rows_of(map: &ColorMap) -> [f32; 9] {
-    std::array::from_fn(|k| map.matrix.as_flattened()[k] as f32)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::loss::{Dssim, GroundTruth, ImageLoss};
-    use gs_core::Rng;
-    use gs_data::ImageU8;
-
-    const SIZE: [usize; 2] = [40, 30];
-
-    /// A smooth frame, and its image in other colours.
-    fn pair() -> (Frame, ImageU8) {
-        let [width, height] = SIZE;
-        let mut rng = Rng::new(3, "exposure", 0, 0);
-        let waves: Vec<[f32; 4]> = (0..9).map(|_| [0; 4].map(|_| rng.range(0.2, 0.6))).collect();
-        let color = |x: usize, y: usize, c: usize| {
-            let wave = |w: &[f32; 4]| (w[0] * x as f32 + w[1] * y as f32 + 9.0 * w[2]).sin() * w[3];
-            0.5 + 0.3 * waves[3 * c..3 * c + 3].iter().map(wave).sum::<f32>()
-        };
-        let pixels = (0..width * height).map(|p| std::array::from_fn(|c| color(p % width, p / width, c)));
-        let colors: Vec<[f32; 3]> = pixels.collect();
-        let shot = |v: f32, c: usize| (255.0 * (0.8 + 0.05 * c as f32) * v).round().clamp(0.0, 255.0) as u8;
-        let image = colors.iter().flat_map(|p| [shot(p[0], 0), shot(p[1], 1), shot(p[2], 2), 255]).collect();
-        let rgb = Image { width, height, channels: 3, data: colors.into_iter().flatten().collect() };
-        let (alpha, depth) = (vec![1.0; width * height], vec![2.0; width * height]);
-        (Frame { rgb, alpha, depth }, ImageU8 { width, height, data: image })
-    }
-
-    fn truth<'a>(image: &'a ImageU8, mask: Option<&'a Image>, map: Option<ColorMap>) -> GroundTruth<'a> {
-        let exposure = map.map(|map| ExposureFit { map, ridge: 1e-6 });
-        GroundTruth { image, background: [0.0; 3], mask, depth: None, exposure }
-    }
-
-    #[test]
-    fn another_exposure_is_no_error_once_its_map_is_known() {
-        let ((frame, image), mut grad) = (pair(), FrameGrad::default());
-        let mut loss = ImageLoss::new(0.8).with(0.2, Dssim::Ssim.term());
-        let mut of = |map| loss.evaluate(&frame, &truth(&image, None, map), &mut grad).unwrap();
-        let (plain, first) = (of(None), of(Some(ColorMap::IDENTITY)));
-        assert_eq!((first.l1, first.term("exposure"), plain.color_map), (plain.l1, Some(0.0), None));
-        let fitted = of(first.color_map);
-        assert!(plain.l1 > 0.06 && fitted.l1 < 2e-3, "{} {}", plain.l1, fitted.l1);
-        assert!(fitted.term("exposure").unwrap() > 0.05);
-    }
-
-    /// The map is constant where the loss goes back.
-    #[test]
-    fn gradients_match_finite_differences_with_the_map_held() {
-        let ((mut frame, image), mut grad) = (pair(), FrameGrad::default());
-        let mut rng = Rng::new(4, "exposure", 0, 0);
-        frame.rgb.data.iter_mut().for_each(|v| *v += rng.range(-0.1, 0.1));
-        let [width, height] = SIZE;
-        let inside = |p: usize| f32::from(u8::from(p % width < 25));
-        let mask = Image { width, height, channels: 1, data: (0..width * height).map(inside).collect() };
-        let mut loss = ImageLoss::new(0.8).with(0.2, Dssim::Ssim.term());
-        for mask in [None, Some(&mask)] {
-            let map = ColorMap { matrix: [[0.8, 0.1, 0.0], [0.0, 0.9, -0.1], [0.05, 0.0, 0.7]] };
-            loss.evaluate(&frame, &truth(&image, mask, Some(map)), &mut grad).unwrap();
-            for at in [3 * (7 * width + 11), 3 * (20 * width + 3) + 2, 3 * (9 * width + 33) + 1] {
-                let h = 1e-3;
-                let mut value = |by: f32| {
-                    let mut moved = frame.clone();
-                    moved.rgb.data[at] += by;
-                    map.apply(&mut moved.rgb);
-                    loss.evaluate(&moved, &truth(&image, mask, None), &mut FrameGrad::default()).unwrap().total
-                };
-                let want = (value(h) - value(-h)) / f64::from(2.0 * h);
-                let got = f64::from(grad.rgb[at]);
-                assert!((got - want).abs() < 2e-2 * want.abs() + 3e-7, "value {at}: {got} {want}");
-            }
-        }
-    }
-
-    /// Frames above saturated values are constants of the loss, for themselves and in the windows of their neighbours.
-    #[test]
-    fn gradients_match_finite_differences_where_images_are_saturated() {
-        let ((mut frame, mut image), mut grad) = (pair(), FrameGrad::default());
-        let [width, height] = SIZE;
-        let mut paint = |x: usize, y: usize, color: [f32; 3], bytes: [u8; 3]| {
-            let at = y * width + x;
-            frame.rgb.data[3 * at..3 * at + 3].copy_from_slice(&color);
-            image.data[4 * at..4 * at + 3].copy_from_slice(&bytes);
-            3 * at
-        };
-        for k in 0..100 {
-            paint(10 + k % 10, 8 + k / 10, [1.6; 3], [255; 3]);
-        }
-        let bright = paint(19, 12, [1.5, 1.7, 1.6], [255; 3]);
-        let beside = paint(21, 12, [0.2; 3], [128; 3]);
-        let red = paint(5, 20, [1.6, 0.2, 0.2], [255, 128, 128]);
-        let inside = |p: usize| f32::from(u8::from(p % width < 25));
-        let mask = Image { width, height, channels: 1, data: (0..width * height).map(inside).collect() };
-        let map = ColorMap { matrix: [[0.8, 0.1, 0.0], [0.0, 0.9, -0.1], [0.05, 0.0, 0.7]] };
-        let mut loss = ImageLoss::new(0.8).with(0.2, Dssim::Ssim.term());
-        for mask in [None, Some(&mask)] {
-            let truth = truth(&image, mask, Some(map));
-            loss.evaluate(&frame, &truth, &mut grad).unwrap();
-            assert_eq!(grad.rgb[bright..bright + 3], [0.0; 3]);
-            assert!(grad.rgb[red..red + 3].iter().all(|g| *g != 0.0), "its green and blue are not saturated");
-            for at in [bright, bright + 2, beside, beside + 1, red, red + 1, red + 2] {
-                let h = 4e-3;
-                let mut value = |by: f32| {
-                    let mut moved = frame.clone();
-                    moved.rgb.data[at] += by;
-                    loss.evaluate(&moved, &truth, &mut FrameGrad::default()).unwrap().total
-                };
-                let want = (value(h) - value(-h)) / f64::from(2.0 * h);
-                let got = f64::from(grad.rgb[at]);
-                assert!((got - want).abs() < 2e-2 * want.abs() + 1e-6, "value {at}: {got} {want}");
-            }
-        }
-    }
-
-    /// A frame and its image over white, half of which is seen.
-    #[test]
-    fn a_background_keeps_its_colour() {
-        let ((mut frame, mut image), mut grad) = (pair(), FrameGrad::default());
-        let background = [1.0, 0.9, 0.2];
-        let mut rng = Rng::new(5, "exposure", 0, 0);
-        for (p, alpha) in frame.alpha.iter_mut().enumerate() {
-            let byte = if p % 3 == 0 { 0 } else { rng.range(60.0, 250.0).round() as u8 };
-            (*alpha, image.data[4 * p + 3]) = (f32::from(byte) / 255.0, byte);
-            for (c, b) in background.into_iter().enumerate() {
-                frame.rgb.data[3 * p + c] = *alpha * frame.rgb.data[3 * p + c] + (1.0 - *alpha) * b;
-            }
-        }
-        let mut loss = ImageLoss::new(0.8).with(0.2, Dssim::Ssim.term());
-        let over = |map| GroundTruth { background, ..truth(&image, None, Some(map)) };
-        let fitted = loss.evaluate(&frame, &over(ColorMap::IDENTITY), &mut grad).unwrap().color_map.unwrap();
-        assert!(loss.evaluate(&frame, &over(fitted), &mut grad).unwrap().l1 < 2e-3);
-        // The slope of alpha with the map held, colours being constant.
-        let map = ColorMap { matrix: [[0.8, 0.1, 0.0], [0.0, 0.7, -0.1], [0.05, 0.0, 1.3]] };
-        loss.evaluate(&frame, &over(map), &mut grad).unwrap();
-        let slopes = grad.alpha.clone();
-        for p in [7 * SIZE[0] + 12, 20 * SIZE[0] + 3, 9 * SIZE[0] + 34] {
-            let h = 1e-3;
-            let mut value = |by: f32| {
-                let mut moved = frame.clone();
-                moved.alpha[p] += by;
-                loss.evaluate(&moved, &over(map), &mut FrameGrad::default()).unwrap().total
-            };
-            let want = (value(h) - value(-h)) / f64::from(2.0 * h);
-            let got = f64::from(slopes[p]);
-            assert!((got - want).abs() < 2e-2 * want.abs() + 3e-7, "pixel {p}: {got} {want}");
-        }
-    }
-
-    /// Opaque in practice, the image overexposed: what it cut off over white tells no more than over black.
-    #[test]
-    fn saturated_colours_count_before_no_background() {
-        let (gain, alpha, n) = (0.8f32, 0.9995f32, 64 * 64);
-        for background in [[0.0; 3], [1.0; 3]] {
-            let mut rng = Rng::new(6, "exposure", 0, 0);
-            let shown: Vec<f32> = (0..3 * n).map(|_| rng.range(0.0, 1.6)).collect();
-            let over = |v: f32| alpha * v + (1.0 - alpha) * background[0];
-            let image = |data: Vec<f32>| Image { width: 64, height: 64, channels: 3, data };
-            let target = image(shown.iter().map(|v| over(gain * v).min(1.0)).collect());
-            let rgb = image(shown.into_iter().map(over).collect());
-            let frame = Frame { rgb, alpha: vec![alpha; n], ..Frame::default() };
-            let map = fit_before(&frame, background, &target, None, 1e-9, &mut Image::default()).unwrap();
-            for c in 0..3 {
-                assert!((map.matrix[c][c] - f64::from(gain)).abs() < 1e-3, "{background:?}: {:?}", map.matrix);
-            }
-        }
-    }
-
-    fn gains(of: [f64; 3]) -> ColorMap {
-        ColorMap { matrix: [[of[0], 0.0, 0.0], [0.0, of[1], 0.0], [0.0, 0.0, of[2]]] }
-    }
-
-    /// Whatever all maps have in common is the scene's to learn.
-    #[test]
-    fn the_mean_of_the_maps_stays_the_identity() {
-        let mut exposures = Exposures::default();
-        for k in 0..30 {
-            let map = ColorMap { matrix: [[1.6, 0.1, 0.0], [0.0, 1.2, 0.1], [0.1, 0.0, 0.5]] };
-            exposures.blend_in(k % 4, &map.blend(&ColorMap::IDENTITY, 0.2 * (k % 3) as f64), 4);
-            for (row, c) in (0..9).map(|k| (k / 3, k % 3)) {
-                let mean = (0..4).map(|image| exposures.map(image).matrix[row][c]).sum::<f64>() / 4.0;
-                assert!((mean - ColorMap::IDENTITY.matrix[row][c]).abs() < 1e-6, "{mean}");
-            }
-        }
-        assert_eq!(Exposures::of(exposures.values()).map(2), exposures.map(2));
-        assert_eq!(Exposures::default().map(7), ColorMap::IDENTITY);
-    }
-
-    /// Once the scene has the mean colours, the maps are those of the images.
-    #[test]
-    fn maps_become_those_of_their_images() {
-        let of = |image: usize| {
-            let gain = 0.7 + 0.2 * image as f64;
-            gains([gain, gain, 2.0 - gain])
-        };
-        let mut exposures = Exposures::default();
-        (0..120).for_each(|k| exposures.blend_in(k % 4, &of(k % 4), 4));
-        for image in 0..4 {
-            let pairs = exposures
-                .map(image)
-                .matrix
-                .as_flattened()
-                .to_vec()
-                .into_iter()
-                .zip(of(image).matrix.as_flattened().to_vec());
-            assert!(pairs.into_iter().all(|(got, want)| (got - want).abs() < 1e-3), "{:?}", exposures.map(image));
-        }
-    }
-
-    #[test]
-    fn maps_begin_after_their_share_of_the_run() {
-        let config = ExposureConfig { fit: true, after: 0.1, ridge: 1e-3 };
-        assert_eq!([1, 100, 101, 1000].map(|step| config.at(step, 1000)), [None, None, Some(1e-3), Some(1e-3)]);
-        assert_eq!(ExposureConfig::default().at(1000, 1000), None);
-        assert_eq!(ExposureConfig { after: 0.0, ..config }.at(1, 1000), Some(1e-3));
-    }
+    std::array::from_fn(|k| cast::to_f32(map.matrix.as_flattened()[k]))
 }

@@ -15,6 +15,7 @@ use super::pull::Pull;
 use super::{fold, shape_change};
 use crate::densify::screen_gradients;
 use crate::method::{Buffer, BufferMut, Merge};
+use crate::schedule::Schedule;
 use crate::step::StepCtx;
 use glam::{Vec3, Vec4};
 use gs_core::{Camera, Geometry, GeometryRef, Time, cast};
@@ -65,6 +66,24 @@ impl StillConfig {
             ));
         }
         Ok(())
+    }
+
+    /// Whether splats may be left out, but no step of the schedule decides which.
+    pub fn never_decides(&self, schedule: &Schedule) -> bool {
+        let every = self.every.max(1);
+        let mut steps = (every..=schedule.steps()).step_by(every as usize);
+        self.pixels > 0.0 && !steps.any(|step| self.decides(&schedule.at(step)))
+    }
+
+    /// Whether the end of a step may decide: not of the first of a stage, which drops decisions.
+    fn decides(&self, at: &StepCtx) -> bool {
+        self.is_open(at) && at.stage_offset > 0 && at.step.is_multiple_of(self.every.max(1))
+    }
+
+    /// Whether splats may be left out in a step.
+    fn is_open(&self, at: &StepCtx) -> bool {
+        let share = at.stage_offset as f32 / at.stage_steps.max(1) as f32;
+        at.dynamic && !at.deform_only && (self.from..self.until).contains(&share)
     }
 }
 
@@ -118,7 +137,7 @@ impl StillRows {
             self.pose.chunks_exact_mut(POSE).for_each(|row| row[0] = 0.0);
             self.loss.fill(0.0);
         }
-        if !self.on() || !self.open(at) {
+        if !self.on() || !self.config.is_open(at) {
             return;
         }
         let turn = self.config.turn.max(1);
@@ -153,7 +172,7 @@ impl StillRows {
     /// ```
     pub fn pull(&self, canonical: GeometryRef<'_>, moved: &Geometry, at: &StepCtx) -> Option<(Geometry, f32)> {
         let StillConfig { pixels, shape, pull, .. } = self.config;
-        if pull <= 0.0 || !self.on() || !self.open(at) {
+        if pull <= 0.0 || !self.on() || !self.config.is_open(at) {
             return None;
         }
         let weight = pull / (canonical.len().max(1) as f32 * at.batch.max(1) as f32);
@@ -215,9 +234,9 @@ impl StillRows {
         }
     }
 
-    /// Whether [`Self::decide`] is due at the end of this step; not of the first of a stage, which drops decisions.
+    /// Whether [`Self::decide`] is due at the end of this step.
     pub fn due(&self, at: &StepCtx) -> bool {
-        self.on() && self.open(at) && at.stage_offset > 0 && at.step.is_multiple_of(self.config.every.max(1))
+        self.on() && self.config.decides(at)
     }
 
     /// Decides anew which splats are still: `probe` writes what the field makes of all splats at a time. Those left out so far whose
@@ -291,17 +310,13 @@ impl StillRows {
             f(BufferMut { name: "still.loss", row_width: Some(LOSS), merge: Merge::Sum, values: loss });
         }
     }
-
-    /// Whether splats may be left out in this step.
-    fn open(&self, at: &StepCtx) -> bool {
-        let share = at.stage_offset as f32 / at.stage_steps.max(1) as f32;
-        at.dynamic && !at.deform_only && (self.config.from..self.config.until).contains(&share)
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::schedule::Stage;
+    use crate::schedule::tests::schedule;
 
     /// Four splats that differ.
     fn canonical() -> Geometry {
@@ -374,6 +389,18 @@ mod tests {
         let config = StillConfig { pull: 1.0, ..decided().config };
         assert_eq!(config.check(), Ok(()));
         assert!(StillConfig { shape: 0.0, ..config }.check().unwrap_err().contains("still.pull"));
+    }
+
+    /// Of 20 steps without the field and 100 with it.
+    #[test]
+    fn a_run_may_be_too_short_for_a_decision() {
+        let stage = |order, steps| Stage { order, steps, dynamic: order > 0, image_scale: 1.0, ..Stage::default() };
+        let schedule = schedule(vec![stage(0, 20), stage(1, 100)]);
+        let never = |every| StillConfig { every, ..decided().config }.never_decides(&schedule);
+        // The field's stage is open from its step 15 to its step 94: steps 36 to 115.
+        assert_eq!([35, 36, 115, 116, 200].map(never), [false, false, false, true, true]);
+        let off = StillConfig { pixels: 0.0, every: 200, ..decided().config };
+        assert!(!off.never_decides(&schedule));
     }
 
     /// Rows 0 and 1 are left out, row 2 was never shown, row 3 is 0.03 away at time 1: 3 pixels, two tolerances.

@@ -71,7 +71,7 @@ impl Trainer {
         let sums = Sums::new(&mut self.model, &learns);
         let mine = self.sums_within(run, &views, &sums, &learns);
         let mut ms = Phases::default();
-        mine.iter().flat_map(|(seen, _)| seen).for_each(|view| ms.add(&view.ms));
+        mine.iter().flat_map(|(seen, _)| seen).for_each(|view| ms += view.ms);
         let mut clock = Stopwatch::new();
         let (seen, parts) = match ranks {
             1 => mine?,

@@ -12,6 +12,7 @@ use gs_data::{DataError, ImageCache, ImageU8, View};
 use gs_raster::{CameraGrad, Frame, FrameGrad, RasterOptions, Rasterizer, ScreenStats, Workspace};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
+use std::ops::{AddAssign, Div};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -85,13 +86,34 @@ pub(super) struct ViewPass<'a> {
 }
 
 impl Phases {
-    /// Adds the phases of another view of the same step.
-    pub(super) fn add(&mut self, other: &Phases) {
-        self.data += other.data;
-        self.field += other.field;
-        self.raster_forward += other.raster_forward;
-        self.loss += other.loss;
-        self.raster_backward += other.raster_backward;
+    /// What `f` makes of each phase and that of the other.
+    fn zip(self, other: Self, f: impl Fn(f64, f64) -> f64) -> Self {
+        Self {
+            data: f(self.data, other.data),
+            field: f(self.field, other.field),
+            raster_forward: f(self.raster_forward, other.raster_forward),
+            loss: f(self.loss, other.loss),
+            raster_backward: f(self.raster_backward, other.raster_backward),
+            device: f(self.device, other.device),
+            exchange: f(self.exchange, other.exchange),
+            adam: f(self.adam, other.adam),
+            adapt: f(self.adapt, other.adapt),
+            total: f(self.total, other.total),
+        }
+    }
+}
+
+impl AddAssign for Phases {
+    fn add_assign(&mut self, other: Self) {
+        *self = self.zip(other, |a, b| a + b);
+    }
+}
+
+impl Div<f64> for Phases {
+    type Output = Self;
+
+    fn div(self, by: f64) -> Self {
+        self.zip(self, |ms, _| ms / by)
     }
 }
 

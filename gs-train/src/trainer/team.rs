@@ -117,12 +117,18 @@ impl Trainer {
     /// [`Self::follow`]. Parameters are the same bits as those of one rank.
     ///
     /// # Errors
-    /// If another rank cannot join.
+    /// If this rank cannot begin, or another one cannot join.
     pub fn lead(mut self, ranks: Arc<dyn Ranks>) -> Result<Self, TrainError> {
         if ranks.size() > 1 {
-            self.leave_device()?;
-            ranks.all_gather(self.state().to_bytes().map_err(|e| TrainError::State(e.to_string()))?)?;
-            all_gather_results(&*ranks, Ok(((), ())))?;
+            let left = self.leave_device();
+            let state = left.and_then(|()| self.state().to_bytes().map_err(|e| TrainError::State(e.to_string())));
+            // The others wait for a state, whatever it is, and for the result.
+            let (bytes, ready) = match state {
+                Ok(bytes) => (bytes, Ok(((), ()))),
+                Err(e) => (Vec::new(), Err(e)),
+            };
+            ranks.all_gather(bytes)?;
+            all_gather_results(&*ranks, ready)?;
             self.ranks = Team::new(ranks, true);
         }
         Ok(self)

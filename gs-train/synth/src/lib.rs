@@ -180,7 +180,7 @@ pub fn truth(name: &str, options: &SynthOptions) -> Result<Truth, DataError> {
     check(options)?;
     let options = &SynthOptions { supersample: options.supersample.max(scene.least_supersample), ..*options };
     let mut bodies = (scene.bodies)();
-    variant::vary(&mut bodies, options.variant);
+    variant::vary(&mut bodies, options.variant, scene.fastest);
     Ok(Truth::new(bodies, scene.name, scene.dynamic, options))
 }
 

@@ -1,5 +1,6 @@
 //! Images that were not exposed alike: the scene keeps the colours that are right for most, and the mean map is state like any other.
 
+use gs_core::cast;
 use gs_data::pixels::ImageU8;
 use gs_data::{Dataset, ImageCache, ImageSource, Split};
 use gs_metrics::Quantise;
@@ -8,10 +9,13 @@ use gs_synth::gains::{exposed, gains_of};
 use gs_train::conformance::Subject;
 use gs_train::evaluate::{EvalReport, Scoring, evaluate_with};
 use gs_train::testkit::{run, start};
+use gs_train::trainer::Trainer;
 use std::sync::Arc;
 
 const FIT: &str = "schedule.exposure.fit = true";
+const OFFSET: &str = "schedule.exposure.offset = true";
 const MAPS: &str = "exposures#";
+const OFFSETS: &str = "exposures#offsets";
 const BLACK: &str = "schedule.background = \"black\"";
 
 fn scene(name: &str, size: u32, views: u32) -> Arc<Dataset> {
@@ -29,6 +33,27 @@ fn unequal(data: &Dataset, seed: u64) -> Arc<Dataset> {
         view.image = ImageSource::Memory(Arc::new(image));
     }
     Arc::new(unequal)
+}
+
+/// An image through haze: a share of its light is lost, as much stray light is added; alpha stays.
+fn through(image: &ImageU8, haze: f64) -> ImageU8 {
+    let value = |(k, v): (usize, &u8)| match k % 4 {
+        3 => *v,
+        _ => cast::to_u8(((1.0 - haze) * f64::from(*v) + haze * 200.0).round()),
+    };
+    ImageU8 { data: image.data.iter().enumerate().map(value).collect(), ..*image }
+}
+
+/// The same scene with haze of its own in every training image; test images have the mean.
+fn hazy(data: &Dataset) -> Arc<Dataset> {
+    let (mut hazy, images) = (data.clone(), ImageCache::new(0, 1.0));
+    let own = (0..data.train.len()).map(|k| 0.15 * (k % 5) as f64);
+    let all = own.zip(&mut hazy.train).chain(hazy.test.iter_mut().map(|view| (0.3, view)));
+    for (haze, view) in all {
+        let image = through(&images.get(view).expect("image"), haze);
+        view.image = ImageSource::Memory(Arc::new(image));
+    }
+    Arc::new(hazy)
 }
 
 fn train(data: &Arc<Dataset>, over: &[&str]) -> EvalReport {
@@ -62,17 +87,40 @@ fn images_of_unequal_exposure_teach_one_scene() {
 }
 
 #[test]
+fn images_in_which_black_is_not_black_need_offsets() {
+    let data = hazy(&scene("static", 48, 20));
+    let [linear, affine] = [train(&data, &[FIT]), train(&data, &[FIT, OFFSET])];
+    let own = |report: &EvalReport| report.mean.psnr.expect("finite");
+    println!("linear maps {:.2} dB, affine maps {:.2} dB", own(&linear), own(&affine));
+    assert!(own(&affine) > own(&linear), "{} {}", own(&linear), own(&affine));
+    let fitted = |report: &EvalReport| report.mean.fitted.expect("asked for");
+    assert!(fitted(&affine).offset && !fitted(&linear).offset);
+    assert!(affine.protocol.contains("fitted: after the affine map"), "{}", affine.protocol);
+}
+
+#[test]
 fn maps_are_the_same_bits_for_any_threads_and_ranks_and_after_a_resume() {
     let data = unequal(&scene("balls", 32, 7), 2);
     let registry = gs_methods::registry();
-    let config = gs_train::testkit::short(registry, "fourdgs", &[FIT, BLACK]);
-    let subject = Subject::new(registry, "fourdgs", &data, &config);
-    [subject.state(), subject.threads(), subject.ranks()].into_iter().for_each(|kept| kept.expect("the same bits"));
-    let mut trainer = start(registry, &data, "fourdgs", &config, 3);
-    run(&mut trainer, 40);
-    let state = trainer.state();
-    let maps = state.tensor(MAPS).expect("maps");
-    assert!(maps.len() == 9 * 7 && maps.as_chunks::<9>().0.iter().all(|map| (map[0] - 1.0).abs() > 1e-3), "{maps:?}");
+    for offset in [false, true] {
+        let config = gs_train::testkit::short(registry, "fourdgs", &[FIT, BLACK, if offset { OFFSET } else { "" }]);
+        let subject = Subject::new(registry, "fourdgs", &data, &config);
+        [subject.state(), subject.threads(), subject.ranks()].into_iter().for_each(|kept| kept.expect("the same bits"));
+        let mut trainer = start(registry, &data, "fourdgs", &config, 3);
+        run(&mut trainer, 40);
+        let state = trainer.state();
+        let maps = state.tensor(MAPS).expect("maps");
+        let apart = maps.as_chunks::<9>().0.iter().all(|map| (map[0] - 1.0).abs() > 1e-3);
+        assert!(maps.len() == 9 * 7 && apart, "{maps:?}");
+        let offsets = state.tensor(OFFSETS).ok();
+        assert_eq!(offsets.map(<[f32]>::len), offset.then_some(3 * 7));
+        assert!(offsets.into_iter().flatten().all(|v| *v != 0.0), "{offsets:?}");
+        // A state whose offsets are of other images is refused.
+        let mut cut = state.clone();
+        cut.tensors.iter_mut().filter(|(name, _)| name == OFFSETS).for_each(|(_, values)| values.truncate(6));
+        let refused = Trainer::resume(registry, data.clone(), &cut, None, 0).err().map(|e| e.to_string());
+        assert_eq!(refused.is_some_and(|why| why.contains(OFFSETS)), offset);
+    }
     // Nothing is kept where nothing is fitted.
     let plain = gs_train::testkit::short(registry, "fourdgs", &[BLACK]);
     let mut plain = start(registry, &data, "fourdgs", &plain, 3);

@@ -254,3 +254,26 @@ fn ranks_that_differ_are_reported_before_anything_is_saved() {
         followed.join().expect("thread").expect("the first rank reports it");
     });
 }
+
+/// The second of two ranks has the later two of the four views of a step, and cannot read the last.
+#[test]
+fn a_rank_that_fails_in_a_step_is_named_and_all_ranks_end() {
+    let (data, registry) = (data(16, 4), gs_methods::registry());
+    let mut config = tiny("static3d");
+    config["schedule"].as_table_mut().expect("schedule").insert("batch".into(), 4i64.into());
+    let mut broken = (*data).clone();
+    broken.train[3].image = ImageSource::File("missing.png".into());
+    let lead = Trainer::new(registry, data, "static3d", &config, TrainOptions::default()).expect("trainer");
+    let mut ranks = threads_as_ranks(2);
+    let (second, first) = (ranks.pop().expect("second"), ranks.pop().expect("first"));
+    std::thread::scope(|scope| {
+        let follow = move || Trainer::join(registry, Ok(Arc::new(broken)), 64 << 20, second)?.follow();
+        let followed = scope.spawn(follow);
+        let mut lead = lead.lead(first).expect("first rank");
+        let error = lead.step().expect_err("an image is missing");
+        let named = matches!(&error, TrainError::Rank { rank: 1, what, code: 3 } if what.contains("missing.png"));
+        assert!(named, "{error}");
+        drop(lead);
+        followed.join().expect("thread").expect("the first rank reports it");
+    });
+}

@@ -63,7 +63,7 @@ fn delayed(whole: &Dataset, camera: u32, lag: isize) -> Dataset {
 }
 
 fn examined(data: &Dataset) -> Vec<Finding> {
-    let checked: ImageChecks = images::check(data, &Sample::of(data, true), None);
+    let checked: ImageChecks = images::check(data, &Sample::of(data, true), None, &|_, _| ());
     clock::check(data, &checked)
 }
 

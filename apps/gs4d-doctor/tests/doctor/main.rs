@@ -316,6 +316,9 @@ fn a_run_is_tried() {
     assert!(checkup.findings.iter().any(|f| f.topic == "memory" && f.verdict == Verdict::Ok), "{:?}", checkup.findings);
     let cost = checkup.cost.expect("cost");
     assert!(cost.splats[0] < 3200 && cost.splats[1] == 3200 && cost.memory_mib[1] > cost.memory_mib[0], "{cost:?}");
+    let short = examine(folder.dir(), &exam(options(&["schedule.stages.coarse.steps=2"])));
+    let cost = short.cost.expect("cost");
+    assert!(cost.stages[0].ms[0] > 0.0 && cost.seconds.iter().all(|s| s.is_finite()), "{cost:?}");
     let broken = examine(folder.dir(), &exam(options(&["no.such=1"])));
     assert!(broken.findings.iter().any(|f| f.code == "cost.begin" && f.what.contains("no.such")));
 }

@@ -2,14 +2,15 @@
 
 use super::{Baker, ExportError};
 use crate::layers;
-use gs_core::{Camera, Splats, cast};
+use gs_core::{Camera, Splats};
 use gs_data::{Dataset, Split};
+use gs_raster::RasterOptions;
 use gs_train::evaluate::{EvalError, EvalReport, Scoring, evaluate_splats};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::palette::color_scale;
 use gs_train::timestamp::Timestamp;
-use gs4d_player::{Clip, Frames, Layer, Spans, Tolerance};
+use gs4d_player::{Clip, Drawing, Frames, Layer, Spans, Tolerance, words};
 
 /// Most frames of a clip, unless more are asked for.
 const MAX_FRAMES: usize = 60;
@@ -27,8 +28,8 @@ pub fn frame_times(training: &[f32]) -> Vec<f32> {
 }
 
 impl Baker<'_> {
-    /// The scene at ascending times as a clip, with the layers of the method. Parts are those of the motion up to `observed`, the last
-    /// training time.
+    /// The scene at ascending times as a clip that is drawn as the model is, with the layers of the method. Parts are those of the motion up
+    /// to `observed`, the last training time.
     ///
     /// # Errors
     /// If the splats of a time are not valid, differ in number, or none is visible.
@@ -41,7 +42,9 @@ impl Baker<'_> {
     ) -> Result<Clip, ExportError> {
         let frames = self.frames(times, &|splats| splats, tick)?;
         let layers = clip_layers(self.method, &frames, times[times.len() / 2], observed)?;
-        Ok(Clip::fit(&frames, &self.poses, tolerance).with_layers(layers))
+        let RasterOptions { near, dilation, antialias, .. } = self.method.raster_options([0.0; 3]);
+        let drawing = Drawing { near, dilation, antialias };
+        Ok(Clip::fit(&frames, &self.poses, tolerance).with_layers(layers).drawn(drawing))
     }
 
     /// The scene at ascending times as Gaussians that each last for a span, a unit of normalised time for `seconds`; and the number of
@@ -80,8 +83,7 @@ impl Baker<'_> {
 fn clip_layers(method: &Model, frames: &Frames, time: f32, observed: f32) -> Result<Vec<Layer>, ExportError> {
     let at = Timestamp::normalised(time);
     let layer = |name: &str, meaning: String, colors: &[[f32; 3]]| {
-        let byte = |v: f32| cast::to_u8(v.clamp(0.0, 1.0) * 255.0 + 0.5);
-        let row = |&i: &usize| colors.get(i).copied().unwrap_or_default().map(byte);
+        let row = |&i: &usize| colors.get(i).copied().unwrap_or_default().map(words::unit);
         Layer { name: name.to_owned(), meaning, colors: frames.rows().iter().map(row).collect() }
     };
     let mut out = Vec::new();
@@ -112,11 +114,12 @@ fn paths(frames: &Frames) -> (Vec<[u8; 3]>, f32) {
     let mut sorted = lengths.clone();
     sorted.sort_by(f32::total_cmp);
     let most = sorted[sorted.len() * 98 / 100].max(f32::MIN_POSITIVE);
-    let color = |length: &f32| color_scale((length / most).min(1.0)).map(|v| cast::to_u8(v * 255.0 + 0.5));
+    let color = |length: &f32| color_scale((length / most).min(1.0)).map(words::unit);
     (lengths.iter().map(color).collect(), most)
 }
 
-/// Scores on a split of what a file plays at a normalised time, as the method itself is scored.
+/// Scores on a split of what a file plays at a normalised time, as the method itself is scored. `scoring.plain` says how the file is
+/// drawn: a page as the model is, other files as programs draw that know splats alone.
 ///
 /// # Errors
 /// Those of the evaluation.
@@ -126,7 +129,6 @@ pub fn evaluate_played(
     (dataset, split): (&Dataset, Split),
     scoring: &Scoring<'_>,
 ) -> Result<EvalReport, EvalError> {
-    let scoring = &Scoring { plain: true, ..*scoring };
     evaluate_splats(method, &|at: &Timestamp, _: &Camera| played(at.t.normalised), dataset, split, scoring)
 }
 

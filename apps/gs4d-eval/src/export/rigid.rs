@@ -59,7 +59,8 @@ impl Baker<'_> {
             squares += fitted.squares;
             weight += fitted.weight;
             let raw = RawSplats::from_splats(&rest.rows(&rows));
-            let raw = raw.map_err(|source| ExportError::Splats { time: middle, source })?;
+            let mut raw = raw.map_err(|source| ExportError::Splats { time: middle, source })?;
+            raw.antialiased = self.antialiased();
             let moves = fitted.farthest > AT_REST * extent;
             scene.moving += usize::from(moves);
             scene.parts.push(moving_part(self.turn, raw, fitted, if moves { &clock } else { &[] }));

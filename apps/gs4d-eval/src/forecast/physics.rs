@@ -44,7 +44,7 @@ pub struct Physics {
     pub splats: usize,
     /// Unit of time: `s`, or `sequence` where the data have no clock.
     pub time_unit: &'static str,
-    /// Speed, spin, acceleration and change of spin.
+    /// Speed, spin, acceleration and change of spin. The last is left out for a flow, whose motions do not say it.
     pub spreads: Vec<QuantityStats>,
     /// Splats that rotate too fast for the integration step, if that is known and there are any.
     pub fast: Option<FastSplats>,
@@ -130,7 +130,8 @@ impl Physics {
             let [median, p90, p99, max] = [0.5, 0.9, 0.99, 1.0].map(|q| quantile(q).unwrap_or(0.0));
             QuantityStats { name, unit, median, p90, p99, max }
         };
-        let spreads = names.into_iter().enumerate().map(spread).collect();
+        let known = if particles.lasting { names.len() } else { names.len() - 1 };
+        let spreads = names.into_iter().take(known).enumerate().map(spread).collect();
         let fast = steps.and_then(|steps| fast(&seen, steps));
         Self { at: particles.at, splats: seen.len(), time_unit: unit, spreads, fast }
     }
@@ -185,6 +186,8 @@ mod tests {
         let p = Physics::of(&wheel(), Some(clock), None);
         assert!(near(p.spreads[0].max, 0.5 * pi) && near(p.spreads[2].max, 0.125 * pi * pi) && p.time_unit == "s");
         assert_eq!(p.spreads[2].unit, "units/s²");
+        let flow = Physics::of(&Particles { lasting: false, ..wheel() }, None, None);
+        assert_eq!(flow.spreads.iter().map(|s| s.name).collect::<Vec<_>>(), ["speed", "spin", "acceleration"]);
     }
 
     /// The wheel turns by 0.31 in a step of 0.1, by 0.13 in one of 0.04.

@@ -1,8 +1,6 @@
-//! Forward and backward rendering at every instruction set, on the scenes published CPU rasterisers were timed on; then the
-//! time saved and the error made by each approximation of the rasteriser.
+//! Forward and backward rendering at every instruction set, on the scenes published CPU rasterisers were timed on.
 
-use super::variants::speed_against_error;
-use super::{Measured, alone};
+use super::Measured;
 use gs_raster::measure::{bytes_per_splat, camera, rows as measured, scene};
 use gs_raster::{RasterOptions, SimdLevel};
 
@@ -40,13 +38,7 @@ pub fn memory() -> Vec<Memory> {
 const REFERENCE_WORK: usize = 10_000_000;
 
 pub(super) fn rows() -> Vec<Measured> {
-    let mut out = Vec::new();
-    for (n, side) in SIZES {
-        out.extend(rows_at((n, side), (n, side) == TIMED));
-    }
-    let (n, side) = TIMED;
-    out.extend(alone(speed_against_error(&scene(n, DEGREE), &camera(side), &RasterOptions::default())));
-    out
+    SIZES.into_iter().flat_map(|size| rows_at(size, size == TIMED)).collect()
 }
 
 /// Rows of one size at every instruction set.

@@ -36,7 +36,10 @@ pub fn run_all(
         }
     };
     let workers = workers.clamp(1, parts.len().max(1));
-    std::thread::scope(|scope| (0..workers).for_each(|_| drop(scope.spawn(work))));
+    std::thread::scope(|scope| {
+        (1..workers).for_each(|_| drop(std::thread::Builder::new().spawn_scoped(scope, work)));
+        work();
+    });
     let mut done = done.into_inner().unwrap_or_else(PoisonError::into_inner);
     done.sort_by_key(|(number, _)| *number);
     let mut all: Vec<Option<Results>> = contests.iter().map(|_| None).collect();

@@ -23,8 +23,8 @@ pub(super) fn unseen_motion(setup: &Setup, log: &mut Log<'_>) -> Result<Findings
     let film = generate(&AvatarOptions { clip: Some(other.clone()), frames, fps: None, test_every: 0, ..options })?;
     let heads =
         [("motion", 0), ("frames", 0), ("PSNR", 2), ("±", 2), ("in-mask PSNR", 2), ("± in mask", 2), ("worst", 2)];
-    let remark = "Test cameras. Means over frames of their mean PSNR, standard deviation over frames (n - 1), and the worst frame \
-                  in the mask.";
+    let remark = "Test cameras. Means over frames of their mean PSNR, standard deviation over frames (n - 1; none of one frame), and \
+                  the worst frame in the mask.";
     let mut out = Findings::new("ood", remark, &heads);
     let learnt: Vec<f32> = subject.full_film.train.iter().map(|v| v.time.normalised).collect();
     let own = trained.scores(&subject.film, &[])?;
@@ -50,7 +50,8 @@ fn spread(name: &str, report: &EvalReport, included: impl Fn(f32) -> bool) -> Ve
     let figures = |values: &[f64]| {
         let mean = Mean::of(values.iter().copied()).value?;
         let squares: f64 = values.iter().map(|v| (v - mean).powi(2)).sum();
-        Some([mean, (squares / (values.len() as f64 - 1.0).max(1.0)).sqrt()])
+        // NaN of one value, which a cell leaves out.
+        Some([mean, (squares / (values.len() as f64 - 1.0)).sqrt()])
     };
     let (whole, masked) = (of(0), of(1));
     let mut row: Vec<Cell> = vec![name.into(), (frames.len() as f64).into()];

@@ -123,7 +123,7 @@ impl Findings {
     }
 
     /// A Markdown page with the remark and the table.
-    fn markdown(&self) -> String {
+    pub fn markdown(&self) -> String {
         let used = self.used();
         let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
         let mut text = format!("# {}\n\n{}\n\n", self.name, self.remark);

@@ -10,7 +10,7 @@ REFUSED = {
     "sparse_grad": (False, "gradients are dense"),
     "absgrad": (False, 'meta["means2d_grad"] has the signed gradients after backward'),
     "distributed": (False, "call it once per process, with all splats"),
-    "camera_model": ("pinhole", "undistort the images first"),
+    "camera_model": ("pinhole", "only pinhole cameras are drawn; undistort images of other lenses first"),
     "covars": (None, "give quats and scales"),
     "with_ut": (False, "leave it out"),
     "with_eval3d": (False, "leave it out"),
@@ -35,7 +35,7 @@ REFUSED = {
 }
 
 #: Arguments that concern the speed of GPUs.
-IGNORED = ("packed", "tile_size", "channel_chunk", "segmented")
+IGNORED = ("packed", "tile_size", "channel_chunk", "segmented", "macro_tile")
 
 #: Names of the arrays, in the order of the arguments.
 ARRAYS = ("means", "quats", "scales", "opacities", "colors", "viewmats", "Ks", "backgrounds")
@@ -169,5 +169,7 @@ def _shape(name, value, dtype, want):
     if len(shape) != len(want) or any(size is not None and size != side for size, side in zip(sizes, shape)):
         text = [str(side) if isinstance(side, int) else side[0] if side[1] is None else f"{side[0]} = {side[1]}"
                 for side in want]
-        raise ValueError(f"{name} must have shape [{', '.join(text)}], not {list(shape)}")
+        batches = name in ("means", "viewmats") and len(shape) > len(want)
+        advice = ": leading batch dimensions are not supported, call it once for each" if batches else ""
+        raise ValueError(f"{name} must have shape [{', '.join(text)}], not {list(shape)}{advice}")
     return shape

@@ -35,7 +35,7 @@ def rasterization(means, quats, scales, opacities, colors, viewmats, Ks, width, 
         constants: "gsplat", or "inria" for what INRIA's rasteriser does otherwise: splats nearer than 0.2 are culled whatever
             ``near_plane`` is, and a sample above ``max_alpha`` gets the gradient that it has without the cap.
         threads: 1 to 1024; None for one per core. The result is the same bits for any number.
-        packed, tile_size, channel_chunk, segmented: concern GPUs; no effect.
+        packed, tile_size, channel_chunk, segmented, macro_tile: concern GPUs; no effect.
 
     Other arguments of gsplat are refused by name, unless they have their default.
 

@@ -65,8 +65,9 @@ class Run:
     def splats(self, t, camera=None):
         """All splats at a time, in the same order at every time; those absent have opacity 0.
 
-        The dictionary has the first arguments of :func:`gs4d.rasterization`: ``means`` [N, 3], ``quats`` [N, 4], ``scales``
-        [N, 3], ``opacities`` [N], ``colors`` [N, 3] or [N, K, 3] and ``sh_degree``. Of a learnt kernel there are also
+        The dictionary has arguments of :func:`gs4d.rasterization`: ``means`` [N, 3], ``quats`` [N, 4], ``scales``
+        [N, 3], ``opacities`` [N], ``colors`` [N, 3] or [N, K, 3] and ``sh_degree``; and how the scene was trained to be drawn,
+        ``near_plane``, ``eps2d`` and ``rasterize_mode``. Of a learnt kernel there are also
         ``lambdas`` and ``betas`` or ``acutances`` [N], which only :meth:`render` draws. ``camera``, a dictionary as in
         :attr:`cameras`, matters where a method decodes splats for a view; a training view by default.
         """

@@ -25,6 +25,11 @@ impl Change {
     fn passed(self, share: f64) -> bool {
         self.done > 0 && (self.done - 1) as f64 >= share * self.was as f64
     }
+
+    /// The share that names the same step, where the new length would come to the old share again.
+    fn once(self, share: f64) -> Option<f64> {
+        (self.now > self.was && self.passed(share)).then(|| self.same_step(share))
+    }
 }
 
 /// Shares with which what has begun stays as it is, where the run and its stage `last` get another length.
@@ -36,17 +41,18 @@ fn kept_shares(config: &Config, last: &str, run: Change, stage: Change) -> Vec<(
     for (key, length) in [(window.as_str(), stage), ("schedule.exposure.after", run), ("cameras.after", run)] {
         kept.extend(number(key).map(|share| (key.to_owned(), length.same_step(share))));
     }
-    // A rate that has begun to fall goes on falling as it did.
-    let falls = number("cameras.after").is_some_and(|after| run.passed(after));
-    let until = number("cameras.until").filter(|_| falls);
+    // A rate that has begun to fall goes on falling as it did, and none has fallen before it begins.
+    let falls =
+        |until: f64| number("cameras.after").is_some_and(|after| run.passed(after) || run.same_step(after) >= until);
+    let until = number("cameras.until").filter(|until| falls(*until));
     kept.extend(until.map(|share| ("cameras.until".to_owned(), run.same_step(share))));
-    // Shares of every stage stay what they are, unless this one is past them.
+    // Shares of every stage stay what they are, unless this one is past them. (`physics.reach` has none: it opens over a whole stage.)
     for key in ["still.from", "still.until"] {
-        let passed = number(key).filter(|share| stage.passed(*share));
-        kept.extend(passed.map(|share| (key.to_owned(), stage.same_step(share))));
+        kept.extend(number(key).and_then(|share| stage.once(share)).map(|share| (key.to_owned(), share)));
     }
-    let settle = number("physics.settle").filter(|share| *share > 0.0 && stage.passed(1.0 - share));
-    kept.extend(settle.map(|share| ("physics.settle".to_owned(), 1.0 - stage.same_step(1.0 - share))));
+    let settle = number("physics.settle").filter(|share| *share > 0.0);
+    let settled = settle.and_then(|share| stage.once(1.0 - share));
+    kept.extend(settled.map(|share| ("physics.settle".to_owned(), 1.0 - share)));
     kept
 }
 
@@ -135,6 +141,9 @@ mod tests {
         // Half of the last stage is made.
         let half = lengthen(&plain, 2 * steps, steps - last as u32 / 2).unwrap();
         assert_shares(&half, &[(after, 0.1), (fallen, 0.5), (maps, 0.15), (from, 0.25 * share), (until, 0.75)]);
+        // A quarter of it is left out: what it is past it does not come to again.
+        let shorter = lengthen(&plain, steps - last as u32 / 4, steps - last as u32 / 2).unwrap();
+        assert_shares(&shorter, &[(from, 0.25), (until, 0.75)]);
         let unborn = lengthen(&plain, 2 * steps, 0).unwrap();
         assert_shares(&unborn, &[(after, 0.1), (fallen, 1.0), (maps, 0.15), (from, 0.25), (until, 0.75)]);
     }
@@ -155,6 +164,14 @@ mod tests {
                 assert!((fallen(run, step) / fallen(&plain, step) - 1.0).abs() < 1e-9, "{step} of {}", run.steps());
             }
         }
+    }
+
+    #[test]
+    fn rates_of_cameras_begin_before_they_have_fallen_in_a_shorter_run() {
+        let sets = ["cameras.after=0.5", "cameras.until=0.9"];
+        let plain = resolve(gs_methods::registry(), &request(&sets)).unwrap();
+        let shorter = lengthen(&plain, 160, 0).unwrap();
+        assert_shares(&shorter, &[("cameras.after", 0.5 * 300.0 / 160.0), ("cameras.until", 0.9 * 300.0 / 160.0)]);
     }
 
     #[test]

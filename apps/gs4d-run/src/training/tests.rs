@@ -4,7 +4,7 @@ use gs_core::testkit::faults::{Fault, Faults, with_faults};
 use gs_synth::{SynthOptions, write};
 use gs_train::checkpoint::{CheckpointError, load_newest, steps_in};
 use gs_train::method::MethodError;
-use gs_train::testkit::fake_device;
+use gs_train::testkit::{fake_device, threads_as_ranks};
 use std::sync::Mutex;
 use tempfile::TempDir;
 
@@ -151,4 +151,45 @@ fn a_device_that_is_lost_leaves_the_last_checkpoint_and_the_provenance_names_it(
     assert!(resumed.warnings()[0].contains("rendered on fake and goes on on cpu"), "{:?}", resumed.warnings());
     assert_eq!(train(&mut resumed, None).0.unwrap(), Outcome::Finished);
     assert!(resumed.trainer.state().tensors == expected, "the bits of a run never interrupted");
+}
+
+/// The second rank knows no method, so it cannot begin.
+#[test]
+fn an_older_run_stays_where_another_rank_cannot_begin() {
+    let dir = prepared();
+    let (mut older, _) = begin(&dir, 1);
+    train(&mut older, None).0.unwrap();
+    let (root, log) = (older.folder.root().to_owned(), logged(&older));
+    drop(older);
+    let mut ranks = threads_as_ranks(2);
+    let (second, first) = (ranks.remove(1), ranks.remove(0));
+    let begun = std::thread::scope(|scope| {
+        let follow = move || crate::ranks::follow(&Registry::default(), &second, || {}).unwrap();
+        let followed = scope.spawn(follow);
+        let begun = Training::begin_with_ranks(&root, true, settings(&dir, None), first.clone()).map(drop);
+        crate::ranks::dismiss(&*first, 2);
+        assert_eq!(followed.join().unwrap(), 2);
+        begun
+    });
+    let error = begun.unwrap_err();
+    assert!(matches!(&error, RunError::Train(TrainError::Rank { rank: 1, .. })), "{error}");
+    let older = RunFolder::open(&root).unwrap();
+    assert_eq!(steps_in(&older.checkpoints()).unwrap(), [6, 4]);
+    assert_eq!(older.log_lines(folder::LOG).unwrap().len(), log.len());
+}
+
+#[test]
+fn a_run_that_never_decides_which_splats_are_still_says_so() {
+    let dir = tempfile::tempdir().unwrap();
+    write(&dir.path().join("data"), "balls", &SynthOptions::of_views(16, 3, 1), false).unwrap();
+    let warnings = |every: u32| {
+        let every = format!("still.every={every}");
+        let sets = ["still.pixels=0.5", &every, "init.points=60"].map(String::from).to_vec();
+        let (method, preset, data) = ("fourdgs".into(), "tiny".into(), Some(dir.path().join("data")));
+        let request = Request { method, preset, data, steps: Some(60), sets, ..Request::default() };
+        let resolved = resolve(gs_methods::registry(), &request).unwrap();
+        Training::begin(&dir.path().join("run"), true, resolved).unwrap().warnings().to_vec()
+    };
+    assert_eq!(warnings(1), [""; 0]);
+    assert!(matches!(&warnings(200)[..], [warning] if warning.contains("still.every = 200")));
 }

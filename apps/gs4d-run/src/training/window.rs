@@ -1,12 +1,11 @@
 //! Sums over the steps between two lines of the log.
 
 use crate::provenance::peak_memory_mib;
-use gs_train::trainer::StepReport;
+use gs_train::trainer::{Phases, StepReport};
 use serde_json::{Value, json};
-use std::collections::BTreeMap;
 
 /// Sums since the last line of the log.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub(super) struct Window {
     steps: u32,
     pub(super) loss: f64,
@@ -15,8 +14,7 @@ pub(super) struct Window {
     mrf: f64,
     exposure: f64,
     mse: f64,
-    /// Milliseconds by phase.
-    ms: BTreeMap<String, f64>,
+    ms: Phases,
     pub(super) quarantined: u64,
     cloned: u64,
     split: u64,
@@ -26,7 +24,7 @@ pub(super) struct Window {
 }
 
 impl Window {
-    pub(super) fn add(&mut self, report: &StepReport) {
+    pub(super) fn add(&mut self, report: StepReport) {
         self.steps += 1;
         self.loss += report.loss.total;
         self.l1 += report.loss.l1;
@@ -34,14 +32,12 @@ impl Window {
         self.mrf += report.loss.term("mrf").unwrap_or(0.0);
         self.exposure += report.loss.term("exposure").unwrap_or(0.0);
         self.mse += report.loss.mse;
-        for (phase, ms) in phases(report) {
-            *self.ms.entry(phase).or_default() += ms;
-        }
+        self.ms += report.ms;
         self.quarantined += u64::from(report.quarantined);
         self.cloned += u64::from(report.adapted.cloned);
         self.split += u64::from(report.adapted.split);
         self.pruned += u64::from(report.adapted.pruned);
-        self.last = Some(report.clone());
+        self.last = Some(report);
     }
 
     pub(super) fn mean(&self, sum: f64) -> f64 {
@@ -55,7 +51,7 @@ impl Window {
     /// The line of the log after the last step, `seconds` into the training; none without a step.
     pub(super) fn line(&self, seconds: f64) -> Option<Value> {
         let report = self.last.as_ref()?;
-        let ms: BTreeMap<&str, f64> = self.ms.iter().map(|(phase, sum)| (phase.as_str(), self.mean(*sum))).collect();
+        let ms = self.ms / f64::from(self.steps);
         Some(json!({
             "step": report.step,
             "seconds": seconds,
@@ -73,20 +69,13 @@ impl Window {
             "pruned": self.pruned,
             "quarantined": self.quarantined,
             "steps": self.steps,
-            "ms_per_step": ms.get("total"),
+            "ms_per_step": ms.total,
             "ms": ms,
             "ms_last": report.ms,
             "sent_last": report.sent_bytes,
             "memory_mib": peak_memory_mib(),
         }))
     }
-}
-
-/// Name and milliseconds of the phases of a step.
-fn phases(report: &StepReport) -> impl Iterator<Item = (String, f64)> {
-    let all: Option<BTreeMap<String, f64>> =
-        serde_json::to_value(report.ms).ok().and_then(|ms| serde_json::from_value(ms).ok());
-    all.unwrap_or_default().into_iter()
 }
 
 #[cfg(test)]
@@ -101,7 +90,7 @@ mod tests {
         for step in 1..=10 {
             let mut report = StepReport { step, ..StepReport::default() };
             (report.ms.field, report.ms.adapt) = (5.0, if step == 10 { 100.0 } else { 0.0 });
-            window.add(&report);
+            window.add(report);
         }
         let line = window.line(1.0).unwrap();
         assert_eq!((&line["step"], &line["steps"]), (&json!(10), &json!(10)));

@@ -73,7 +73,7 @@ function pointSize({ width, height }, most) {
   return Math.min(32, Math.max(0.5, (state.size * image) / shown));
 }
 function send(what, question) {
-  busy = { id: next++, sent: performance.now(), heard: performance.now(), version, moves, picking: question.pick, ...what };
+  busy = { id: next++, sent: performance.now(), heard: performance.now(), version, moves, of: moment(), picking: question.pick, ...what };
   socket.send(JSON.stringify({ id: busy.id, ...question }));
 }
 function changed() { moving = performance.now(); sides.a.pick = null; if (busy) busy.picking = null; save(); again(); }
@@ -114,7 +114,7 @@ async function received(parts) {
   const data = await new Blob(parts).arrayBuffer(), length = new DataView(data).getUint32(0, true);
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 8, length))), rest = new Uint8Array(data, 8 + length);
   if (!busy || header.id !== busy.id) return;
-  const { side, level, sent, thumb, fetching, moves: at, file: saved } = busy, now = performance.now(), spent = now - sent, onLine = now - came, stale = busy.version !== version;
+  const { side, level, sent, thumb, fetching, moves: at, of, file: saved } = busy, now = performance.now(), spent = now - sent, onLine = now - came, stale = busy.version !== version;
   // An answer for what is no longer wanted is shown at most; what is wanted is asked for all the same.
   if (sides[side] && !stale) sides[side].is = level;
   busy = null;
@@ -132,7 +132,7 @@ async function received(parts) {
   fit(canvas, bitmap);
   locals[side].hide();
   document.body.dataset[side] = `${header.layer} ${header.width}x${header.height} ${["moving", "rest", "fine"][level]}`;
-  if (side === "a") showStatus(header, spent);
+  if (side === "a") showStatus(header, spent, of);
   place();
 }
 // Shows a canvas as large as its aspect ratio allows.

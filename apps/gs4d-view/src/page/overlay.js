@@ -1,7 +1,10 @@
 "use strict";
 // Status line and legend of an image; lines over it: axes, grid, cameras, arrows, paths.
 const LONGEST = 0.25; // longest arrow, in radii of the scene
-let paths = [], arrows = null, arrowsOf = null;
+let paths = [], arrows = null, arrowsOf = "";
+// What arrows are of: they follow the camera, and nothing else.
+const moment = () => JSON.stringify([state.a[0], state.a[2], state.t, state.hidden, posing()]);
+const arrowsShown = () => state.arrows && about().moving && arrows && arrowsOf === moment();
 const SVG = "http://www.w3.org/2000/svg";
 function svgElement(name, attributes) {
   const e = document.createElementNS(SVG, name);
@@ -9,15 +12,15 @@ function svgElement(name, attributes) {
   return e;
 }
 const number = (v) => (v === null ? "–" : Math.abs(v) >= 1000 || (v !== 0 && Math.abs(v) < 0.01) ? v.toExponential(2) : String(+v.toPrecision(4)));
-function showStatus(header, spent) {
+function showStatus(header, spent, of) {
   const parts = [`${header.width}×${header.height}`, `rendered in ${header.ms.toFixed(0)} ms, here after ${spent.toFixed(0)} ms`];
   if (header.frame) parts.unshift(`frame ${header.frame.number}, ${header.frame.latency_ms.toFixed(0)} ms after its files`);
   if (header.splats !== undefined) parts.unshift(`${header.splats.toLocaleString("en")} splats`);
-  const v = about().views[state.view], of = state.compare === "difference" ? "between the two" : `of this ${v && v.held_out ? "held-out" : "training"} view`;
-  if (header.psnr) parts.push(`PSNR ${of} ${header.psnr.toFixed(2)} dB at ${header.scored.join("×")}`);
+  const v = about().views[state.view], whose = state.compare === "difference" ? "between the two" : `of this ${v && v.held_out ? "held-out" : "training"} view`;
+  if (header.psnr) parts.push(`PSNR ${whose} ${header.psnr.toFixed(2)} dB at ${header.scored.join("×")}`);
   if (state.compare === "difference") parts.push(`grey is equal, ×${state.gain}`);
-  if (header.arrows) { [arrows, arrowsOf] = [header.arrows, [state.a[0], state.t]]; lines(); }
-  if (arrows && state.arrows) parts.push(`arrows: the longest is ${number(arrows.longest)} ${arrows.unit}`);
+  if (header.arrows) { [arrows, arrowsOf] = [header.arrows, of]; lines(); }
+  if (arrowsShown()) parts.push(`arrows: the longest is ${number(arrows.longest)} ${arrows.unit}`);
   $("status").textContent = parts.join(" · ");
   notice(header.blank ? header.blank + ". Press F to frame the scene." : "");
   $("legend").replaceChildren(...(header.legend ? legend(header.legend) : []), header.note ?? "");
@@ -53,7 +56,7 @@ function lines() {
   if (state.cameras) s.views.forEach((v, k) => { if (k % Math.ceil(s.views.length / 60) === 0 && k !== state.view) frame("camera", v); });
   if (!flying) for (const k of flight) frame("key", k);
   for (const path of paths) all.push(svgElement("polyline", { class: "path", points: points(path) }));
-  if (state.arrows && s.moving && arrows && arrowsOf[0] === state.a[0] && arrowsOf[1] === state.t && arrows.longest > 0) for (const [at, v] of arrows.lines) {
+  if (arrowsShown() && arrows.longest > 0) for (const [at, v] of arrows.lines) {
     const from = project(at), to = project(add(at, v, (LONGEST * r) / arrows.longest));
     if (from && to) all.push(arrow(from, to));
   }

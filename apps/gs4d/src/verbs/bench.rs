@@ -1,11 +1,14 @@
-//! `gs4d bench`: speed against error of the crates, or the stages of a frame of a run, on this machine.
+//! `gs4d bench`: speed against error of the crates, tables of cost, or the stages of a frame of a run, on this machine.
 
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
 use crate::opening::RunData;
-use gs4d_lab::bench::{GROUPS, Measured, Memory, PYTORCH, Roofs, StageOptions, StageTimes, memory, stage_times};
-use gs4d_lab::people::{LabError, Trained};
+use gs4d_lab::bench::{
+    GROUPS, Measured, Memory, PYTORCH, Roofs, StageOptions, StageTimes, approximations, frames, growth, memory,
+    stage_times,
+};
+use gs4d_lab::people::{Findings, LabError, Trained};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -18,6 +21,9 @@ pub struct Bench {
     /// Only this crate, for example gs-raster.
     #[arg(long = "crate", value_name = "C")]
     only: Option<String>,
+    /// A table in place of the rows of the crates, as Markdown.
+    #[arg(long, value_enum, value_name = "T", conflicts_with_all = ["run", "only"])]
+    table: Option<Table>,
     /// Timed frames, of a run.
     #[arg(long, value_name = "N", requires = "run", default_value_t = StageOptions::default().frames as u32, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     frames: u32,
@@ -32,11 +38,33 @@ pub struct Bench {
     size: u32,
 }
 
+/// Tables that take longer than the rows of the crates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Table {
+    /// What a frame and its gradients cost by splats, pixels and depth complexity, and what a new time costs in each method.
+    Growth,
+    /// What each approximation saves, and the error it makes.
+    Approximations,
+}
+
+impl Table {
+    fn measure(self, global: &Global) -> Result<Answer, Failure> {
+        global.say("measuring");
+        let found = match self {
+            Self::Growth => vec![growth(), frames(gs_methods::registry())?],
+            Self::Approximations => vec![approximations(gs_methods::registry())?],
+        };
+        let text = found.iter().map(Findings::markdown).collect::<Vec<_>>().join("\n");
+        Ok(Answer::new(text, json!(found.iter().map(Findings::json).collect::<Vec<_>>())))
+    }
+}
+
 impl Bench {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
-        match &self.run {
-            Some(run) => self.stages(run, global),
-            None => self.crates(global),
+        match (&self.run, self.table) {
+            (Some(run), _) => self.stages(run, global),
+            (None, Some(table)) => table.measure(global),
+            (None, None) => self.crates(global),
         }
     }
 

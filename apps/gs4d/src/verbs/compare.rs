@@ -36,7 +36,7 @@ pub struct Compare {
     /// Which views.
     #[arg(long, value_enum, default_value_t = SplitName::Test)]
     split: SplitName,
-    /// Colour behind renders and images: black, white, one grey or r,g,b in 0..1 [default: the recipes', which must
+    /// Colour behind renders and images: black, white, one grey or r,g,b in 0..1 [default: the runs', which must
     /// agree].
     #[arg(long, allow_hyphen_values = true, value_parser = parse::color)]
     background: Option<[f32; 3]>,

@@ -11,10 +11,10 @@ use serde_json::json;
 pub struct ShowConfig {
     /// Name of the method; gs4d methods lists them.
     method: String,
-    /// Overlay a preset: fast, paper or tiny.
+    /// Its preset: fast, paper, tiny or another; gs4d methods lists them.
     #[arg(long, default_value = "fast")]
     preset: String,
-    /// Total number of steps; scales the whole recipe.
+    /// Total number of steps; stretches or compresses the whole schedule.
     #[arg(long, value_name = "N")]
     steps: Option<u32>,
     /// Overlay one setting, for example schedule.density.until=5000 (repeatable).

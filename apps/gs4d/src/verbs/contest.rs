@@ -1,6 +1,6 @@
 //! `gs4d compare methods`: several methods or settings on the same data, with the same seeds and the same time.
 
-use super::jobs::{Jobs, ResultFile, check_seeds, with_missing};
+use super::jobs::{Jobs, ResultFile, check_seeds, failure, with_missing};
 use super::train::time_text;
 use crate::answer::Answer;
 use crate::failure::Failure;
@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// Compare methods or settings on the same data, with equal time and several seeds
+/// Train methods or settings on the same data with the same seeds, and compare them; --steps or --time-budget makes them equally long
 #[derive(clap::Args)]
 pub struct ContestVerb {
     /// Folder of the data.
@@ -43,13 +43,14 @@ const FILES: [ResultFile; 3] =
 /// Conditions shared by all trials.
 #[derive(clap::Args)]
 pub struct Trials {
-    /// Seeds; everything runs once with each.
+    /// Seeds; everything runs once with each. Several, for example 0,1,2, show how much of a difference is chance.
     #[arg(long, value_delimiter = ',', default_value = "0")]
     pub seeds: Vec<u64>,
-    /// Training time of every trial: recipes are stretched or compressed to fill it.
+    /// Training time of every trial: schedules are stretched or compressed to fill it, and so run to their end (the flag of gs4d train stops
+    /// a schedule that is left as it is).
     #[arg(long, value_name = "TIME", value_parser = parse::duration, conflicts_with = "steps")]
     time_budget: Option<Duration>,
-    /// Steps of every trial.
+    /// Steps of every trial [default: those of its preset].
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     steps: Option<u32>,
     /// A setting of all trials (repeatable).
@@ -76,6 +77,9 @@ impl ContestVerb {
         let Self { data, entries, preset, trials: Trials { seeds, sets, out: root, jobs, .. } } = self;
         let contest =
             Contest { registry: gs_methods::registry().clone(), data, root, preset, entries, seeds, length, sets };
+        if let Some(lengths) = unequal_lengths(&contest)? {
+            global.say(format!("warning: {lengths}; --steps or --time-budget makes them equally long"));
+        }
         if let Some(list) = jobs.plan(std::slice::from_ref(&contest), global)? {
             return Ok(list);
         }
@@ -97,6 +101,22 @@ impl ContestVerb {
         }
         jobs.judge(Answer::new(text, json), missing, global)
     }
+}
+
+/// That entries train for different numbers of steps, in words, where neither steps nor time were asked for.
+fn unequal_lengths(contest: &Contest) -> Result<Option<String>, Failure> {
+    if contest.length != Length::Recipe {
+        return Ok(None);
+    }
+    // All trials of an entry are equally long.
+    let one = Contest { seeds: contest.seeds.iter().take(1).copied().collect(), ..contest.clone() };
+    let steps = one.collect().map_err(failure)?.standings.into_iter().filter_map(|s| Some((s.label, s.steps?)));
+    let steps: Vec<(String, u64)> = steps.collect();
+    if steps.iter().all(|(_, n)| *n == steps[0].1) {
+        return Ok(None);
+    }
+    let each: Vec<String> = steps.iter().map(|(label, n)| format!("{label} {n}")).collect();
+    Ok(Some(format!("entries train for different numbers of steps ({})", each.join(", "))))
 }
 
 /// PSNR of an entry less that of the first, with the same seeds.

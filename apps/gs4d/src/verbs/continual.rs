@@ -24,7 +24,7 @@ pub struct ContinualVerb {
     /// Name of the method.
     #[arg(short, long)]
     method: String,
-    /// Recipe of the first round.
+    /// Preset of the first round.
     #[arg(long, default_value = "fast")]
     preset: String,
     /// Last training time of each round.
@@ -45,7 +45,7 @@ pub struct ContinualVerb {
     /// Most frames seen (PanopticSports: 135) [default: as long as a whole future is left].
     #[arg(long, value_name = "N", requires = "frames_first")]
     frames_last: Option<usize>,
-    /// Steps of the first round: compresses or stretches the recipe.
+    /// Steps of the first round: compresses or stretches its schedule.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     steps_first: Option<u32>,
     /// Steps of every later round.

@@ -1,6 +1,6 @@
 //! `gs4d demo`: generates a moving scene, trains on it, and reports the result.
 
-use super::train::{drive, time_text};
+use super::train::{drive, resume_command, time_text};
 use crate::answer::{Answer, number};
 use crate::device::DeviceFlag;
 use crate::failure::{Class, Failure};
@@ -48,10 +48,10 @@ pub struct Demo {
     /// Method; gs4d methods lists them.
     #[arg(short, long, default_value = METHOD)]
     method: String,
-    /// Recipe of the method.
+    /// Preset of the method.
     #[arg(long, default_value = "tiny")]
     preset: String,
-    /// Steps; the recipe is compressed to them.
+    /// Steps; the schedule is stretched or compressed to them.
     #[arg(long, default_value_t = 5000, value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
     /// Side of the images, pixels.
@@ -74,7 +74,7 @@ impl Demo {
         let mut training = self.begin(global)?;
         if let Outcome::Interrupted(saved) = drive(&mut training, &stop, global, None)? {
             return Err(Failure::new(Class::Interrupted, "interrupted", format!("saved {}", saved.display()))
-                .remedy(format!("gs4d resume {}", training.folder().root().display())));
+                .remedy(resume_command(training.folder().root())));
         }
         let scores = training.score()?;
         training.report(&scores)?;

@@ -1,4 +1,4 @@
-//! `gs4d doctor`: checks a dataset before training.
+//! `gs4d doctor`: checks a data set before training.
 
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 /// Rounds of settings that are written and checked again.
 const MAX_FIXES: usize = 4;
 
-/// Check a dataset: layout, images, times, poses, points, box, memory and time; say what is wrong and how to fix it
+/// Check a data set: layout, images, times, poses, points, box, memory and time; say what is wrong and how to fix it
 #[derive(clap::Args)]
 pub struct Doctor {
     /// The folder.

@@ -1,4 +1,4 @@
-//! `gs4d eval`: scores a run on a split of its data, or a folder of images against a folder of truths.
+//! `gs4d eval`: scores a run on a split of its data, or a folder of images against their ground truth.
 
 use super::train::all_scores_text;
 use crate::answer::Answer;
@@ -29,7 +29,7 @@ use std::sync::Arc;
 /// Difference of two backgrounds, 0..1, from which on it is told.
 const FAR_OFF: f64 = 0.04;
 
-/// Score a run on its test views, or a folder of images against a folder of truths
+/// Score a run on its test views, or a folder of images against a folder of ground truth
 #[derive(clap::Args)]
 pub struct Eval {
     /// Folder of the run, or a .gs4d file: one of its checkpoints, or what gs4d export made.
@@ -38,13 +38,13 @@ pub struct Eval {
     /// Which views of the run's data.
     #[arg(long, value_enum, default_value_t = SplitName::Test)]
     split: SplitName,
-    /// Colour behind render and truth: black, white, one grey or r,g,b in 0..1 [default: the recipe's; folders: black].
+    /// Colour behind render and ground truth: black, white, one grey or r,g,b in 0..1 [default: the run's; folders: black].
     #[arg(long, allow_hyphen_values = true, value_parser = parse::color)]
     background: Option<[f32; 3]>,
     /// Folder of images to score, taken in the order of the numbers in their names.
     #[arg(long, value_name = "DIR", requires = "gt", conflicts_with_all = ["split", "device", "data"])]
     pred: Option<PathBuf>,
-    /// Folder of their truths; files belong together by name, or by order where names differ but hold numbers.
+    /// Folder of their ground truth; files belong together by name, or by order where names differ but hold numbers.
     #[arg(long, value_name = "DIR", requires = "pred")]
     gt: Option<PathBuf>,
     /// Folder of masks: adds scores where pixels are bright: masked PSNR, SSIM and proxy, and as papers on avatars report them PSNR of the whole
@@ -64,7 +64,7 @@ pub struct Eval {
     /// Rounding of images to 8 bit before they are scored, as papers do that score PNG files [default: none; round with --half].
     #[arg(long, value_enum)]
     quantise: Option<QuantiseName>,
-    /// Reduce images, truths and masks to half size by means of 2x2 pixels before they are scored (metrics.py --half_res of TRACE's authors); tof is of
+    /// Reduce images, ground truth and masks to half size by means of 2x2 pixels before they are scored (metrics.py --half_res of TRACE's authors); tof is of
     /// full size. Such scores are not kept with a run.
     #[arg(long, conflicts_with = "fit_colors")]
     half: bool,
@@ -77,7 +77,7 @@ pub struct Eval {
     #[arg(long, value_enum, default_value_t = RangeName::Signed, requires = "lpips")]
     lpips_range: RangeName,
     /// Adds PSNR and SSIM of a run after the linear map of colours that brings each frame nearest to its image: for images that were not exposed alike. Runs
-    /// trained with schedule.exposure.fit always have them.
+    /// trained with schedule.exposure.fit always have them; those with schedule.exposure.offset have maps with an offset.
     #[arg(long, conflicts_with = "pred")]
     fit_colors: bool,
     #[command(flatten)]
@@ -140,7 +140,7 @@ enum QuantiseName {
     None,
     /// To the nearest step, as writing PNG files does.
     Round,
-    /// Images down to the next step (DyCheck), truths to the nearest.
+    /// Images down to the next step (DyCheck), ground truth to the nearest.
     Truncate,
 }
 

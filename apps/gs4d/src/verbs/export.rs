@@ -298,6 +298,9 @@ impl Export {
         let Some((_, path)) = plan.files.first() else { return Err(Failure::usage("no time to write")) };
         plan.folder.as_deref().map_or(Ok(()), create_folder)?;
         save_splats(path, &reduced, self.force)?;
+        if let Some(note) = plan.format.note(&reduced) {
+            global.say(format!("note: {note}"));
+        }
         let again = load_splats(path, &global.limits())?;
         let lost = if again.degree < before { format!(" (of {before})") } else { String::new() };
         let text = format!(
@@ -329,6 +332,10 @@ impl Export {
             let (time, path) = &plan.files[k];
             let raw = baker().bake(&Timestamp::normalised(*time))?;
             save_splats(path, &raw, self.force)?;
+            if let Some(note) = plan.format.note(&raw).filter(|_| k == mine.start) {
+                // Of several files, the first stands for all.
+                global.say(format!("note: {note}"));
+            }
             let again = load_splats(path, &global.limits())?;
             progress.at((k - mine.start) as u64 + 1, || format!("{} splats", again.len()));
             // The table lies beside the files and moves with them.
@@ -344,7 +351,8 @@ impl Export {
         }
         let loss = dataset.map(|data| self.measure(&run, &data, baker(), plan)).transpose()?;
         let bytes: u64 = plan.files.iter().filter_map(|f| f.1.metadata().ok()).map(|m| m.len()).sum();
-        let mut text = format!("{} file(s), {:.2} MB, read back whole\n", plan.files.len(), bytes as f64 / 1e6);
+        let (number, mb) = (plan.files.len(), bytes as f64 / 1e6);
+        let mut text = format!("{number} file{}, {mb:.2} MB, read back whole\n", if number == 1 { "" } else { "s" });
         if let Some(loss) = &loss {
             text.push_str(&loss.to_text());
         }
@@ -395,7 +403,8 @@ pub(super) fn to_score(
 /// The nearest Gaussians to splats with another kernel profile.
 fn with_plain_kernel(raw: &RawSplats) -> Result<RawSplats, ExportError> {
     let plain = raw.to_splats().and_then(|s| RawSplats::from_splats(&s.with_plain_kernel()));
-    plain.map_err(|source| ExportError::Splats { time: 0.0, source })
+    let plain = plain.map_err(|source| ExportError::Splats { time: 0.0, source })?;
+    Ok(RawSplats { antialiased: raw.antialiased, ..plain })
 }
 
 /// Table of times and files in an output folder.

@@ -20,7 +20,7 @@ use gs4d_eval::forecast::{
 };
 use gs4d_eval::particles::Particles;
 use gs4d_eval::track::{Track, TrackError, TrackReport, follow};
-use gs4d_report::Still;
+use gs4d_report::{IMAGE_SIDE, Still, within};
 use gs4d_run::OpenRun;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -112,7 +112,7 @@ impl ForecastVerb {
                 scores,
             });
             if strip.len() * times.len() <= k * PAGE_FRAMES {
-                strip.push(Still { caption: format!("t = {t:.3}"), image: frame.image });
+                strip.push(Still { caption: format!("t = {t:.3}"), image: within(frame.image, IMAGE_SIDE) });
             }
             progress.at(k as u64 + 1, || format!("t = {t:.3}"));
         }

@@ -94,10 +94,11 @@ impl Glmd {
         let mut progress = Progress::new(names.len() as u64, "times", global.quiet);
         let mut stills = Vec::new();
         glmd::study(method, &camera, run.background(), &masks, &options, |still| {
+            let time = still.time;
             let strip = glmd::strip(&still).map_err(GlmdError::from)?;
             save_png(&self.out.join(&names[stills.len()]), &strip, self.force)?;
             stills.push(still);
-            progress.at(stills.len() as u64, String::new);
+            progress.at(stills.len() as u64, || format!("time {time}"));
             Ok::<(), Failure>(())
         })?;
         progress.finish();

@@ -16,7 +16,7 @@ const VIEWS: usize = 8;
 /// A scene that fits its own training views worse than this, dB, is seen from elsewhere.
 const LEAST: f64 = 15.0;
 
-/// Take over a scene that 4DGaussians, Deformable-3D-GS, Grid4D or Scaffold-GS has trained, as a run
+/// Take over a scene that 4DGaussians, Deformable-3D-GS, Grid4D, Scaffold-GS or TRACE has trained, as a run
 #[derive(clap::Args)]
 pub struct ImportCheckpointVerb {
     /// The checkpoint as one safetensors file, written by docs/guide/export_checkpoint.py.

@@ -22,7 +22,7 @@ pub struct Lab {
     /// A run of the method dut: its data and parameters are used.
     #[arg(long, value_name = "RUN", conflicts_with_all = ["steps", "preset", "sets", "template", "clip", "film_frames", "size"])]
     run: Option<PathBuf>,
-    /// Train for so many steps where there is no run; the preset's recipe is stretched or compressed to them.
+    /// Train for so many steps where there is no run; the preset's schedule is stretched or compressed to them.
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     steps: Option<u32>,
     /// Preset to train.

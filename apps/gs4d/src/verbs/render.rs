@@ -41,7 +41,7 @@ pub struct Render {
     /// or `dataset:N`, the N-th test view of a run's data, or training view where there are none; `orbit`, once around the scene; `path`, smoothly through a few training
     /// cameras of a run's data; `path:FILE`, through those of a file. Without --time or --times, orbit and path are 60 images over the training span, `path:FILE` over the times
     /// of its cameras where all have one. A time in a file is normalised, whatever clock the data have.
-    #[arg(long, value_name = "FILE|dataset:N|orbit|path|path:FILE")]
+    #[arg(long, value_name = "FILE|dataset:N|orbit|path|path:FILE", default_value = "orbit")]
     camera: PathBuf,
     /// Normalised time of all images: 0 is the first training image, 1 the last, or the end of the sequence where data.time_boundary keeps that out of training
     /// [default: the camera's own, else 0].
@@ -56,7 +56,7 @@ pub struct Render {
     /// Horizontal field of view, degrees [default: the cameras' own].
     #[arg(long, value_name = "DEGREES", value_parser = parse::field_of_view)]
     fov: Option<f64>,
-    /// Splats nearer than this are not rendered, world units [default: 0.01 for files, the recipe's for runs].
+    /// Splats nearer than this are not rendered, world units [default: 0.01 for files, the run's for runs].
     #[arg(long, allow_hyphen_values = true, value_parser = parse::not_negative)]
     near: Option<f64>,
     /// Colour behind the scene: black, white, one grey or r,g,b in 0..1 [default: black, or the run's].
@@ -103,26 +103,30 @@ enum Format {
     Mp4,
 }
 
+/// What `--camera` takes.
+const CAMERAS: &str = "give a file of cameras, dataset:N, orbit, path or path:FILE";
+
 /// Images of an orbit or path without `--times`.
 const DEFAULT_FRAMES: usize = 60;
 
 /// The rendered scene.
 enum Scene {
-    File(Box<Splats>),
+    /// Splats, and whether they are drawn anti-aliased.
+    File(Box<Splats>, bool),
     Run(Box<OpenRun>),
 }
 
 impl Scene {
     fn splat_count(&self) -> usize {
         match self {
-            Scene::File(splats) => splats.len(),
+            Scene::File(splats, _) => splats.len(),
             Scene::Run(run) => run.loaded.model.splat_count(),
         }
     }
 
     fn options(&self) -> RasterOptions {
         match self {
-            Scene::File(_) => RasterOptions::default(),
+            Scene::File(_, antialias) => RasterOptions { antialias: *antialias, ..RasterOptions::default() },
             Scene::Run(run) => run.loaded.model.raster_options(run.background()),
         }
     }
@@ -130,7 +134,7 @@ impl Scene {
     /// The dataset of the run; `what` names the option that needs it.
     fn data(&self, what: &str) -> Result<Dataset, Failure> {
         match self {
-            Scene::File(_) => Err(Failure::usage(format!("{what} needs a run"))),
+            Scene::File(..) => Err(Failure::usage(format!("{what} needs a run"))),
             Scene::Run(run) => Ok(run.open_data()?),
         }
     }
@@ -138,7 +142,7 @@ impl Scene {
     /// Where the cameras of the run stand that were refined.
     fn placed(&self) -> Placed {
         match self {
-            Scene::File(_) => Placed::default(),
+            Scene::File(..) => Placed::default(),
             Scene::Run(run) => run.placed(),
         }
     }
@@ -146,7 +150,7 @@ impl Scene {
     /// The training views of the run, or those it has kept, as they were learnt; `what` names the option that needs them.
     fn training_views(&self, what: &str) -> Result<Vec<View>, Failure> {
         match self {
-            Scene::File(_) => Err(Failure::usage(format!("{what} needs a run"))),
+            Scene::File(..) => Err(Failure::usage(format!("{what} needs a run"))),
             Scene::Run(run) => Ok(run.training_views()?.iter().map(|view| run.placed().view(view)).collect()),
         }
     }
@@ -154,7 +158,7 @@ impl Scene {
     /// The orbit of the dataset's cameras, or around the splats of a file.
     fn orbit(&self) -> Result<Option<Orbit>, Failure> {
         match self {
-            Scene::File(splats) => Ok(Orbit::of_splats(&splats.means)),
+            Scene::File(splats, _) => Ok(Orbit::of_splats(&splats.means)),
             Scene::Run(_) => Ok(Orbit::of_views(&self.training_views("--camera orbit")?)),
         }
     }
@@ -162,7 +166,7 @@ impl Scene {
     /// Normalised time of the last training image.
     fn last_time(&self) -> f32 {
         match self {
-            Scene::File(_) => 1.0,
+            Scene::File(..) => 1.0,
             Scene::Run(run) => last_trained(run),
         }
     }
@@ -170,7 +174,7 @@ impl Scene {
     /// The splats at a time, as a camera sees them.
     fn splats(&self, camera: &Camera, time: f32) -> Result<Cow<'_, Splats>, MethodError> {
         Ok(match self {
-            Scene::File(splats) => Cow::Borrowed(splats),
+            Scene::File(splats, _) => Cow::Borrowed(splats),
             Scene::Run(run) => {
                 let splats = run.loaded.model.splats(&Timestamp::normalised(time), camera)?;
                 checked(&splats, time)?;
@@ -198,10 +202,12 @@ fn checked(splats: &Splats, time: f32) -> Result<(), MethodError> {
     splats.check().map_err(|e| MethodError::Render(format!("the scene at time {time}: {e}")))
 }
 
-/// The splats of a file.
-pub fn load_splat_file(path: &Path, global: &Global) -> Result<Splats, Failure> {
-    let splats = load_splats(path, &global.limits())?.to_splats();
-    splats.map_err(|e| Failure::new(Class::Data, "data.splats", e.to_string()).place(path.display()))
+/// The splats of a file, and whether they are drawn anti-aliased.
+pub fn load_splat_file(path: &Path, global: &Global) -> Result<(Splats, bool), Failure> {
+    let raw = load_splats(path, &global.limits())?;
+    let splats = raw.to_splats();
+    let splats = splats.map_err(|e| Failure::new(Class::Data, "data.splats", e.to_string()).place(path.display()))?;
+    Ok((splats, raw.antialiased))
 }
 
 impl Render {
@@ -248,7 +254,10 @@ impl Render {
         };
         progress.finish();
         let files: Vec<String> = paths.iter().map(|p| p.display().to_string()).collect();
-        let text: String = files.iter().map(|f| format!("{f}\n")).collect();
+        let text = match files.as_slice() {
+            [one] => format!("{one}\n"),
+            many => format!("{} images -> {}\n", many.len(), self.out.display()),
+        };
         Ok(Answer::new(text, json!({"files": files, "background": renderer.options.background, "layer": layer})))
     }
 
@@ -302,7 +311,8 @@ impl Render {
         if path.is_dir() || path.extension().is_some_and(|e| e == "gs4d") {
             return Ok(Scene::Run(Box::new(self.place.open(path, global)?)));
         }
-        Ok(Scene::File(Box::new(load_splat_file(path, global)?)))
+        let (splats, antialiased) = load_splat_file(path, global)?;
+        Ok(Scene::File(Box::new(splats), antialiased))
     }
 
     /// Fails if the folder is named like a file of pictures.
@@ -346,7 +356,11 @@ impl Render {
             return Ok(self.series("path", &times, |k, n| Some(flight.at(k as f64 / (n.max(2) - 1) as f64))));
         }
         let Some(number) = name.strip_prefix("dataset:") else {
-            return Ok(load_cameras(&self.camera, &Limits::default())?);
+            let missing = !self.camera.exists();
+            return load_cameras(&self.camera, &Limits::default()).map_err(|e| {
+                let failure = Failure::from(e);
+                if missing { failure.remedy(CAMERAS) } else { failure }
+            });
         };
         let dataset = scene.data("--camera dataset:N")?;
         let trains = dataset.test.is_empty();

@@ -42,13 +42,13 @@ pub struct ReproduceVerb {
     /// Seeds; everything runs once with each [default: 0,1,2; nightly: 0,1,2,3,4].
     #[arg(long, value_delimiter = ',')]
     seeds: Vec<u64>,
-    /// Preset of all entries: fast (minutes), or published for the recipe of each entry in its paper (days on a CPU).
+    /// Preset of all entries: fast (minutes), or published for the settings of each entry in its paper (days on a CPU), which gs4d train calls paper.
     #[arg(long, default_value = "fast")]
     preset: String,
     /// Steps of every trial.
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     steps: Option<u32>,
-    /// Training time of every trial: recipes are stretched or compressed to fill it.
+    /// Training time of every trial: schedules are stretched or compressed to fill it, and so run to their end.
     #[arg(long, value_name = "TIME", value_parser = parse::duration, conflicts_with = "steps")]
     time_budget: Option<Duration>,
     /// Factor of the images' size, in place of that of the table (0..1].

@@ -24,7 +24,7 @@ pub struct Resume {
     /// Steps in all, to lengthen (or shorten) the last stage.
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     steps: Option<u32>,
-    /// Stop with a checkpoint after so much more training, for example 90s, 10m, 1.5h.
+    /// Stop with a checkpoint after so much more training, for example 90s, 10m, 1.5h, wherever the schedule is then.
     #[arg(long, value_name = "TIME", value_parser = parse::duration)]
     time_budget: Option<Duration>,
     #[command(flatten)]

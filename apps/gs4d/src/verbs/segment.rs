@@ -31,7 +31,7 @@ const FOLDERS: [&str; 3] = ["masks", "labels", "overlays"];
 /// Output files in `--out`.
 const FILES: [&str; 2] = ["labels.npy", "segment.json"];
 
-/// Find the rigid parts of a scene: masks of its views, scores against true masks, and how each part moves
+/// Find the rigid parts of a scene: masks of its views, scores against ground-truth masks, and how each part moves
 #[derive(clap::Args)]
 pub struct Segment {
     /// Folder of the run, or a .gs4d file.
@@ -56,11 +56,11 @@ pub struct Segment {
     /// Which views get masks.
     #[arg(long, value_enum, default_value_t = SplitName::Test)]
     split: SplitName,
-    /// Folder of true label images by the names of views, .png or .npy; 0 is the background
+    /// Folder of ground-truth label images by the names of views, .png or .npy; 0 is the background
     /// [default: those of the data, or the bodies of a generated scene].
     #[arg(long, value_name = "DIR")]
     truth: Option<PathBuf>,
-    /// At most so many views, evenly spread.
+    /// At most so many views, spread over all.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     limit: Option<u32>,
     /// Folder for labels.npy (a label per splat), segment.json, and masks, labels (8 bits: 0 background, label + 1) and
@@ -180,15 +180,15 @@ impl Segment {
         Err(Failure::usage(format!("{option} has no effect {why}")).remedy(remedy))
     }
 
-    /// At most `--limit` views, evenly spread.
+    /// At most `--limit` views, spread over all ([`gs_data::spread()`]).
     fn limited(&self, views: &[View]) -> Result<Vec<View>, Failure> {
         if views.is_empty() {
             return Err(
                 Failure::new(Class::Data, "data.split", "the split has no views").remedy("choose another --split")
             );
         }
-        let count = self.limit.map_or(views.len(), |n| n as usize).min(views.len());
-        Ok((0..count).map(|k| views[k * views.len() / count].clone()).collect())
+        let most = self.limit.map_or(views.len(), |n| n as usize);
+        Ok(gs_data::spread(views.len(), most).into_iter().map(|k| views[k].clone()).collect())
     }
 
     fn truth(&self, run: &OpenRun, views: &[View]) -> Option<TrueLabels> {

@@ -1,4 +1,4 @@
-//! `gs4d synth`: writes a generated scene with exact ground truth as a dataset.
+//! `gs4d synth`: writes a generated scene with exact ground truth as a data set.
 
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
@@ -19,7 +19,7 @@ const FIXED_CAMERA_SIZE: u32 = 100;
 /// Flags of scenes with a camera for each view.
 const OF_ONE_CAMERA: [&str; 3] = ["train_views", "val_views", "test_views"];
 
-/// Layout of the dataset.
+/// Layout of the data set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Layout {
     /// D-NeRF: transforms_*.json, images with alpha.
@@ -28,7 +28,7 @@ enum Layout {
     Nerfies,
 }
 
-/// Generate a scene with exact truth, as a data set of D-NeRF's or Nerfies' layout
+/// Generate a scene with exact ground truth, as a data set of D-NeRF's or Nerfies' layout
 #[derive(clap::Args)]
 pub struct Synth {
     /// Name of the scene; without it, the scenes are listed.
@@ -108,12 +108,19 @@ impl Synth {
             return Err(Failure::usage("no folder to write to").remedy(format!("gs4d synth {name} -o DIR")));
         };
         if name == avatar::NAME {
-            let of_scenes =
-                self.cameras.is_some() || self.exposure.is_some() || self.gains.is_some() || self.variant != 0;
+            let usual = SynthOptions::default();
+            let views = [self.train_views, self.val_views, self.test_views];
+            let of_scenes = views != [usual.train_views, usual.val_views, usual.test_views]
+                || self.cameras.is_some()
+                || self.exposure.is_some()
+                || self.gains.is_some()
+                || self.variant != 0;
             if of_scenes || self.lens || self.layout != Layout::Dnerf {
-                let what =
-                    "--cameras, --lens, --exposure, --gains, --variant and --layout are not for the scene avatar";
-                return Err(Failure::usage(what).remedy("choose its cameras with --cams, for example --cams 8x2"));
+                let what = "--train-views, --val-views, --test-views, --cameras, --lens, --exposure, --gains, --variant and --layout are \
+                    not for the scene avatar";
+                return Err(Failure::usage(what).remedy(
+                    "choose its cameras with --cams, for example --cams 8x2, and its images in time with --frames and --test-every",
+                ));
             }
             self.check_left(out, &["scene.json", "cameras.json", if self.truth { "gt" } else { "" }])?;
             let Self { size, seed, truth, force, .. } = self;

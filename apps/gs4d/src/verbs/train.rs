@@ -32,7 +32,7 @@ pub struct Train {
     /// Name of the method; gs4d methods lists them.
     #[arg(short, long)]
     method: String,
-    /// Recipe: fast (minutes), paper (as published), tiny (seconds; of dut minutes).
+    /// Preset: fast (minutes), paper (as published), tiny (seconds; of dut minutes), or another of the method; gs4d methods lists them.
     #[arg(long, default_value = "fast")]
     preset: String,
     /// A TOML file of settings, laid over the preset.
@@ -41,10 +41,11 @@ pub struct Train {
     /// One setting, over presets and files, for example schedule.density.until=5000 (repeatable); gs4d config METHOD lists them.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     sets: Vec<String>,
-    /// Compress or stretch the recipe to so many steps.
+    /// Compress or stretch the schedule to so many steps.
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     steps: Option<u32>,
-    /// Stop with a checkpoint after so much training, for example 90s, 10m, 1.5h.
+    /// Stop with a checkpoint after so much training, for example 90s, 10m, 1.5h, wherever the schedule is then (the flag of gs4d compare
+    /// stretches schedules to fill the time).
     #[arg(long, value_name = "TIME", value_parser = parse::duration)]
     time_budget: Option<Duration>,
     /// Seed of every random number [default: 0].
@@ -113,11 +114,12 @@ impl Train {
             return Ok(Answer::new(all_scores_text(&scores, step), result_json(&scores, step, &self.out, finished)));
         }
         let (stop, device) = (interrupt::flag()?, self.device.open_to_train(global)?);
+        let ranks = global.ranks.clone();
         let training = match self.go_on {
-            true => Training::go_on(&self.out, resolved)?,
-            false => Training::begin(&self.out, self.force, resolved)?,
+            true => Training::go_on(&self.out, resolved)?.with_ranks(ranks)?,
+            false => Training::begin_with_ranks(&self.out, self.force, resolved, ranks)?,
         };
-        let mut training = training.on(&device)?.with_ranks(global.ranks.clone())?;
+        let mut training = training.on(&device)?;
         carry_on(&mut training, &self.watch, &stop, global)
     }
 }
@@ -141,6 +143,7 @@ pub fn carry_on(training: &mut Training, watch: &Watch, stop: &AtomicBool, globa
     let json = result_json(&scores, step, &root, outcome == Outcome::Finished);
     let mut text = all_scores_text(&scores, step);
     text.push_str(&format!("report  {}\n", root.join("report.html").display()));
+    text.push_str(&format!("look at it: {}\n", command_of("view", &root)));
     if let Outcome::BudgetSpent(_) = outcome {
         text.push_str(&format!("the time budget is spent; go on: {}\n", resume_command(&root)));
     }
@@ -263,8 +266,14 @@ pub fn times_text(data: &Dataset) -> String {
     }
 }
 
-fn resume_command(root: &Path) -> String {
-    format!("gs4d resume {}", gs4d_run::shell_quoted(root.display().to_string()))
+/// The command that goes on with a run.
+pub fn resume_command(root: &Path) -> String {
+    command_of("resume", root)
+}
+
+/// The command of a verb for a run.
+fn command_of(verb: &str, root: &Path) -> String {
+    format!("gs4d {verb} {}", gs4d_run::shell_quoted(root.display().to_string()))
 }
 
 /// The scores of a split, then those beyond the last training time where there are any.
@@ -281,7 +290,7 @@ pub fn scores_text(s: &EvalReport, step: u32) -> String {
         format!("where masks count ({percent:.1} % of the pixels)   psnr {psnr}   ssim {ssim} ({seen} where seen)   perceptual-proxy {proxy:.4}\n")
     });
     let fitted = s.mean.fitted.map_or(String::new(), |f| {
-        format!("in the colours of the images   psnr {}   ssim {}\n", number(f.psnr, 2), number(f.ssim, 4))
+        format!("{}   psnr {}   ssim {}\n", f.colors(), number(f.psnr, 2), number(f.ssim, 4))
     });
     let weights = s.lpips_weights.as_deref().unwrap_or_default();
     let lpips = s.mean.lpips.map_or(String::new(), |v| format!("lpips {v:.4} ({weights})   "));
@@ -297,7 +306,7 @@ pub fn scores_text(s: &EvalReport, step: u32) -> String {
         number(s.mean.psnr, 2),
         number(s.psnr_of_mean_mse, 2),
         number(s.mean.ssim, 4),
-        number(s.mean.ms_ssim, 4),
+        s.mean.ms_ssim.map_or("- (the images are too small)".to_owned(), |v| format!("{v:.4}")),
         number(s.mean.perceptual_proxy, 4),
         number(s.mean.laplacian_ratio, 3),
         number(s.mean.high_band_ratio, 3)

@@ -100,7 +100,8 @@ impl View {
             }
             return Ok(Show::run(name, run, dataset.ok().as_ref()));
         }
-        Ok(Show::splats(name, load_splat_file(path, global)?))
+        let (splats, antialiased) = load_splat_file(path, global)?;
+        Ok(Show::splats(name, splats).antialiased(antialiased))
     }
 }
 

@@ -82,6 +82,7 @@ fn wrong_flags_are_told() {
     film(&["--template", "nobody.glb"]).fails(3, &["nobody.glb"]);
     film(&["--light", "0,0,0"]).fails(2, &["direction"]);
     film(&["--cameras", "3"]).fails(2, &["--cams 8x2"]);
+    film(&["--train-views", "40"]).fails(2, &["--train-views", "--frames"]);
     gs4d(&["synth", "balls", "-o", text(&out), "--frames", "9"]).fails(2, &["--frames", "avatar"]);
     assert!(good(&["synth"]).out.contains("avatar "));
     assert!(!out.exists(), "nothing was written");

@@ -88,6 +88,16 @@ fn bad_entries_are_refused_before_anything_is_trained() {
 }
 
 #[test]
+fn entries_of_different_lengths_are_told() {
+    let dir = tempfile::tempdir().unwrap();
+    let (root, jobs) = (dir.path().join("contest"), dir.path().join("jobs.txt"));
+    let base = ["compare", "methods", text(data()), "-e", "static3d", "-e", "fourdgs", "-f", "-o", text(&root)];
+    let said = |more: &[&str]| good(&[&base[..], &["--plan", text(&jobs)], more].concat()).err;
+    assert!(said(&[]).contains("warning: entries train for different numbers of steps (static3d "));
+    assert_eq!([said(&["--steps", "9"]), said(&["--time-budget", "9s", "-q"])].concat(), "");
+}
+
+#[test]
 fn scores_of_other_data_are_neither_kept_nor_taken_for_those_of_a_trial() {
     let dir = tempfile::tempdir().unwrap();
     let [own, other, root] = ["own", "other", "contest"].map(|name| dir.path().join(name));

@@ -1,6 +1,6 @@
 //! `gs4d export`: files of plain splats that draw as the run does, and what they lose.
 
-use crate::support::{good, gs4d, text};
+use crate::support::{data, good, gs4d, text, train};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -184,7 +184,7 @@ fn a_sequence_is_scored_by_its_own_files() {
     assert!(two > many + 0.01, "{two} dB with two files, {many} dB with 33");
     let one = dir.path().join("one.ply");
     let answer = good(&["export", text(run()), "--times", "0.4", "-o", text(&one)]).out;
-    assert!(answer.contains("baked at times that no file has"), "{answer}");
+    assert!(answer.starts_with("1 file, ") && answer.contains("as no file has its time"), "{answer}");
 }
 
 #[test]
@@ -214,6 +214,32 @@ fn nothing_is_dropped_or_written_under_an_unknown_name() {
     let page = dir.path().join("c.html");
     let beyond = good(&["export", text(run()), "--times", "3..9:2", "--no-eval", "-o", text(&page)]);
     assert!(beyond.err.contains("note: time 3 lies outside training (0..1)"), "{}", beyond.err);
+}
+
+/// Files that cannot say it are written with a note.
+#[test]
+fn anti_aliased_splats_stay_so() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    train(data(), &at("run"), &["--set", "schedule.antialias=true"]);
+    let load = |name: &str| gs_core::io::load_splats(&at(name), &gs_core::io::Limits::default()).unwrap();
+    let told = |from: &str, to: &str, more: &[&str]| {
+        let call = good(&[&["export", text(&at(from)), "-o", text(&at(to))][..], more].concat());
+        call.err.contains("cannot say that splats are to be drawn anti-aliased")
+    };
+    for (name, keeps) in [("a.ply", true), ("a.spz", true), ("a.glb", false), ("a.splat", false)] {
+        let note = told("run", name, &["--no-eval"]);
+        assert_eq!((load(name).antialiased, note), (keeps, !keeps), "{name}");
+    }
+    assert!(!told("run", "a.html", &["--no-eval", "--times", "0..1:3"]));
+    let page = gs4d_player::read(&fs::read_to_string(at("a.html")).unwrap()).unwrap();
+    assert!(page.drawing().antialias);
+    // Converted files, too, and those whose kernels become Gaussians.
+    let ply = load("a.ply");
+    let kernel = gs_core::Kernel::Acutance { acutances: vec![0.5; ply.len()] };
+    gs_core::io::save_splats(&at("b.ply"), &gs_core::io::RawSplats { kernel, ..ply }, false).unwrap();
+    assert!(!told("b.ply", "b.spz", &[]) && load("b.spz").antialiased);
+    assert!(told("b.ply", "b.glb", &[]));
 }
 
 #[test]

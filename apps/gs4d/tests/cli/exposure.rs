@@ -37,6 +37,12 @@ fn unequal_exposures_are_made_fitted_and_scored() {
     assert!(asked["mean"]["fitted"]["ssim"].as_f64().is_some());
     assert!(asked["protocol"].as_str().unwrap().contains("linear map of colours"));
     assert!(good(&["eval", text(&plain), "--json"]).json()["mean"].get("fitted").is_none());
+    // A run with offsets is scored with them.
+    let (affine, sets) = (dir.path().join("affine"), ["schedule.exposure.fit=true", "schedule.exposure.offset=true"]);
+    good(&[&train[..], &["-o", text(&affine), "--set", sets[0], "--set", sets[1]]].concat());
+    let scored = good(&["eval", text(&affine), "--json"]).json();
+    assert_eq!(scored["mean"]["fitted"]["offset"], true);
+    assert!(scored["protocol"].as_str().unwrap().contains("affine map of colours"));
 
     let (nerfies, far) = (dir.path().join("nerfies"), dir.path().join("far"));
     let call = ["synth", "balls", "--layout", "nerfies", "--gains", "0.3", "-o", text(&nerfies)];

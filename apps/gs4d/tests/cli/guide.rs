@@ -85,7 +85,9 @@ fn shortened(words: &[String]) -> Vec<String> {
         out.extend(["--moments", "12"].map(str::to_owned));
         return out;
     }
-    for (verb, flags) in ADDED {
+    // A film of a person has no numbers of views.
+    let film = out[0] == "synth" && out.iter().any(|w| w == "avatar");
+    for (verb, flags) in ADDED.into_iter().filter(|(_, flags)| !(film && flags[0] == "--train-views")) {
         let has = |flag: &str| out.iter().any(|w| w == flag);
         let named = out.iter().zip(verb.split(' ')).all(|(w, v)| w == v);
         if named && out.len() > 1 && !flags.iter().any(|f| f.starts_with("--") && has(f)) {

@@ -355,9 +355,11 @@ fn a_view_of_the_data_is_a_camera_at_any_time() {
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 3);
     gs4d(&["render", text(run()), "--camera", "dataset:9", "-o", text(dir.path())]).fails(2, &["N from 0 to 1"]);
     gs4d(&["render", text(ply()), "--camera", "dataset:0", "-o", text(dir.path())]).fails(2, &["needs a run"]);
-    let around = ["render", text(ply()), "--camera", "orbit", "--times", "0..1:2", "-o", text(dir.path())];
-    assert!(!good(&around).err.contains("note:"));
-    assert!(dir.path().join("orbit-0001.png").exists());
+    let named = gs4d(&["render", text(run()), "--camera", "obit", "-o", text(dir.path())]);
+    named.fails(6, &["obit: cannot open: ", "dataset:N, orbit, path"]);
+    let around = good(&["render", text(ply()), "--times", "0..1:2", "-o", text(dir.path())]);
+    assert!(!around.err.contains("note:") && around.out.starts_with("2 images -> "), "{} {}", around.err, around.out);
+    assert!(dir.path().join("orbit-0001.png").exists(), "the camera goes around unless it is named");
 }
 
 #[test]

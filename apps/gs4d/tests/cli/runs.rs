@@ -229,7 +229,7 @@ fn where_nothing_is_all_verbs_say_the_same() {
         &["export", "nowhere", "-o", "none.ply"],
     ];
     for call in calls {
-        gs4d(call).fails(6, &["error[io.missing]: nowhere: cannot open: "]);
+        gs4d(call).fails(6, &["error[io.missing]: nowhere: cannot open: ", "do   check the path"]);
     }
 }
 
@@ -239,6 +239,8 @@ fn the_command_that_goes_on_can_be_pasted() {
     let out = dir.path().join("sp ace");
     let said = train(data(), &out, &["--time-budget", "0.001s"]).out;
     assert!(said.contains(&format!("gs4d resume '{}'", out.display())), "{said}");
+    assert!(said.contains(&format!("gs4d view '{}'", out.display())), "{said}");
+    assert!(said.contains("ms-ssim - (the images are too small)"), "{said}");
 }
 
 #[test]

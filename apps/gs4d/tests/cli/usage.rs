@@ -13,6 +13,7 @@ fn wrong_use_exits_with_two() {
     gs4d(&["eval"]).fails(2, &["RUN"]);
     gs4d(&["eval", "--pred", "x"]).fails(2, &["--gt"]);
     gs4d(&["bench", "--crate", "gs-nothing"]).fails(2, &["gs-nothing", "gs-raster"]);
+    gs4d(&["bench", "--table", "growth", "--crate", "gs-raster"]).fails(2, &["cannot be used with"]);
     let version = good(&["--version"]).out;
     assert!(version.starts_with(&format!("gs4d {}", env!("CARGO_PKG_VERSION"))), "{version}");
     assert!(good(&["--help"]).out.contains("Exit codes"));
@@ -116,6 +117,7 @@ fn wrong_settings_exit_with_two_and_name_the_nearest() {
     gs4d(&["config", "nerf"]).fails(2, &["nerf", "static3d"]);
     gs4d(&["config", "static3d", "--preset", "huge"]).fails(2, &["huge", "tiny"]);
     gs4d(&["config", "static3d", "--set", "schedule.lambda_dsim=0.1"]).fails(2, &["schedule.lambda_dssim"]);
+    gs4d(&["config", "static3d", "--set", "schedule.lr.means.eps=1e-8"]).fails(2, &["schedule.lr.cloud.means.eps"]);
     gs4d(&["config", "static3d", "--set", "schedule.lambda_dssim=nan"]).fails(2, &["finite"]);
     gs4d(&["config", "static3d", "--set", "schedule.lambda_dssim=\"a\""]).fails(2, &["must be a number"]);
     gs4d(&["config", "static3d", "--set", "schedule"]).fails(2, &["key=value"]);

@@ -77,6 +77,21 @@ fn apart(got: &[f32], want: &[f32]) -> f64 {
     (off / want.iter().map(|v| square(*v)).sum::<f64>()).sqrt()
 }
 
+/// A transmittance that goes to nothing leaves no gradient of what is in front: both devices stop before.
+#[test]
+fn without_an_early_stop_the_front_keeps_its_gradient() {
+    let Some(gpu) = gpu() else { return };
+    let options = RasterOptions { stop: 0.0, ..RasterOptions::default() };
+    let mut splats = measure::scene(90, 0);
+    splats.scales.fill(glam::Vec3::splat(10.0));
+    splats.opacities.fill(0.8);
+    splats.kernel = Kernel::Gaussian;
+    let (_, grad, _) = both(&mut Renderer::new(&gpu), &splats, 16, &options);
+    let (_, want) = on_the_cpu(&splats, 16, &options);
+    let off = apart(&grad.color, &want.color);
+    assert!(off < 1e-3, "{off}");
+}
+
 /// More block sums than one round of the scan adds.
 #[test]
 fn many_splats_agree_with_the_cpu() {

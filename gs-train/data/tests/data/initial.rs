@@ -48,7 +48,7 @@ fn a_moving_scene_keeps_the_places_its_bodies_pass() {
 fn the_hull_of_a_long_sequence_is_carved_by_all_cameras_of_its_rig() {
     let rig = SynthOptions { size: 16, cameras: 8, moments: 160, ..options() };
     let data = generate("falling", &rig).unwrap().dataset;
-    let carved = gs_data::hull::carve(&data, 0.95).unwrap().unwrap();
+    let carved = gs_data::hull::carve(&data, 0.95, None).unwrap().unwrap();
     let of = |views: &mut dyn Iterator<Item = usize>| views.map(|i| data.train[i].camera_id).collect::<BTreeSet<_>>();
     let [used, all] = [of(&mut carved.silhouettes.iter().map(|s| s.index)), of(&mut (0..data.train.len()))];
     assert!(data.train.len() > 5 * 160 && all.len() > 5 && used == all, "{used:?} of {all:?}");

@@ -39,8 +39,12 @@ impl Loss {
 
     pub(super) fn to_text(&self) -> String {
         self.line(&match self.read {
-            n if n == self.views => "from the files, the nearest in time".to_owned(),
-            n => format!("{n} from the files, {} baked at times that no file has", self.views - n),
+            n if n == self.views => "each drawn from the file nearest in time".to_owned(),
+            0 => "each drawn from splats of its own time in this format, as no file has its time".to_owned(),
+            n => format!(
+                "{n} drawn from the file nearest in time, {} from splats of their own times in this format, as no file has their times",
+                self.views - n
+            ),
         })
     }
 

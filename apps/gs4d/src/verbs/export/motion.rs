@@ -11,7 +11,7 @@ use crate::opening::{RunData, note_extrapolated};
 use gs_core::Splats;
 use gs_core::io::{read_file, write_file};
 use gs_data::{Dataset, View};
-use gs_train::evaluate::evaluate_with;
+use gs_train::evaluate::{Scoring, evaluate_with};
 use gs_train::method::MethodError;
 use gs4d_eval::export::{evaluate_played, frame_times};
 use gs4d_run::{Kept, OpenRun};
@@ -88,17 +88,19 @@ impl Motion {
         Ok(read_file(&self.out, &global.limits())?)
     }
 
-    /// What is lost in PSNR where these splats are shown at a normalised time; nothing if it is not to be measured.
+    /// What is lost in PSNR where these splats are shown at a normalised time, drawn as [`Scoring::plain`] says; nothing if it is not to be
+    /// measured.
     pub fn loss(
         &self,
         source: &Source,
+        plain: Option<bool>,
         shown: &dyn Fn(f32) -> Result<Splats, MethodError>,
     ) -> Result<Option<Loss>, Failure> {
         let Source { run, dataset: Some(data), .. } = source else { return Ok(None) };
         let (images, split) = (run.images(), self.split.into());
         let scoring = run.scoring(run.background(), &images);
         let before = evaluate_with(&run.loaded.model, data, split, &scoring)?;
-        let after = evaluate_played(shown, &run.loaded.model, (data, split), &scoring)?;
+        let after = evaluate_played(shown, &run.loaded.model, (data, split), &Scoring { plain, ..scoring })?;
         Ok(Some(Loss::of(&before, &after, after.views.len())))
     }
 

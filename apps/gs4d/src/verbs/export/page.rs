@@ -27,7 +27,7 @@ pub(super) fn run(motion: &Motion, tolerance: Tolerance, global: &Global) -> Res
     let html = page.html(&made).map_err(ExportError::from)?;
     let bytes = motion.write(&source, |out| out.write_all(html.as_bytes()), global)?;
     let clip = gs4d_player::read(&String::from_utf8_lossy(&bytes)).map_err(ExportError::from)?;
-    let loss = motion.loss(&source, &|time| Ok(clip.splats(time)))?;
+    let loss = motion.loss(&source, None, &|time| Ok(clip.splats(time)))?;
     let (splats, frames, moving) = (clip.len(), clip.times().len(), clip.moving());
     let holds = format!(
         "{splats} splats at {frames} times, {moving} of them move\nno coordinate of a splat is off by more than {} of its standard deviation in \

@@ -5,6 +5,7 @@ use super::motion::Motion;
 use crate::answer::Answer;
 use crate::failure::Failure;
 use crate::global::Global;
+use gs_core::io::SplatFormat;
 use gs_core::io::glb::{read_scene, write_parts};
 use gs_core::rot::Mat3;
 use gs_data::View;
@@ -23,9 +24,12 @@ pub(super) fn run(
     let (first, seconds) = (source.times.first().copied().unwrap_or(0.0), source.seconds());
     let baker = Baker::new(&source.run.loaded.model, &source.views, motion.sh_degree).turned(turn);
     let made = baker.rigid(&source.times, seconds, source.observed())?;
+    if let Some(note) = made.parts.first().and_then(|part| SplatFormat::Glb.note(&part.splats)) {
+        global.say(format!("note: {note}"));
+    }
     let bytes = motion.write(&source, |out| write_parts(&made.parts, out), global)?;
     let scene = read_scene(&bytes, &motion.out.display().to_string(), &global.limits())?;
-    let loss = motion.loss(&source, &|time| baker.rigid_splats(&scene, seconds, first, time))?;
+    let loss = motion.loss(&source, Some(false), &|time| baker.rigid_splats(&scene, seconds, first, time))?;
     let (parts, moving, residual) = (made.parts.len(), made.moving, made.residual);
     let (splats, frames, duration) = (scene.at(0.0).len(), source.times.len(), scene.duration());
     if moving == 0 {

@@ -55,7 +55,7 @@ impl<'a> Mode<'a> {
             ("alpha", _) => Ok(Self::Alpha),
             ("count", _) => Ok(Self::Count),
             (_, Scene::Run(run)) => Ok(Self::Layer(Layer::of(name, run, time)?)),
-            (_, Scene::File(_)) => Err(unknown(name, "a splat file", &[])),
+            (_, Scene::File(..)) => Err(unknown(name, "a splat file", &[])),
         }
     }
 
