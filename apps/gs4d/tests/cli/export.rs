@@ -223,23 +223,23 @@ fn anti_aliased_splats_stay_so() {
     let at = |name: &str| dir.path().join(name);
     train(data(), &at("run"), &["--set", "schedule.antialias=true"]);
     let load = |name: &str| gs_core::io::load_splats(&at(name), &gs_core::io::Limits::default()).unwrap();
-    let told = |from: &str, to: &str, more: &[&str]| {
+    let says = |from: &str, to: &str, more: &[&str]| {
         let call = good(&[&["export", text(&at(from)), "-o", text(&at(to))][..], more].concat());
         call.err.contains("cannot say that splats are to be drawn anti-aliased")
     };
     for (name, keeps) in [("a.ply", true), ("a.spz", true), ("a.glb", false), ("a.splat", false)] {
-        let note = told("run", name, &["--no-eval"]);
+        let note = says("run", name, &["--no-eval"]);
         assert_eq!((load(name).antialiased, note), (keeps, !keeps), "{name}");
     }
-    assert!(!told("run", "a.html", &["--no-eval", "--times", "0..1:3"]));
+    assert!(!says("run", "a.html", &["--no-eval", "--times", "0..1:3"]));
     let page = gs4d_player::read(&fs::read_to_string(at("a.html")).unwrap()).unwrap();
     assert!(page.drawing().antialias);
     // Converted files, too, and those whose kernels become Gaussians.
     let ply = load("a.ply");
     let kernel = gs_core::Kernel::Acutance { acutances: vec![0.5; ply.len()] };
     gs_core::io::save_splats(&at("b.ply"), &gs_core::io::RawSplats { kernel, ..ply }, false).unwrap();
-    assert!(!told("b.ply", "b.spz", &[]) && load("b.spz").antialiased);
-    assert!(told("b.ply", "b.glb", &[]));
+    assert!(!says("b.ply", "b.spz", &[]) && load("b.spz").antialiased);
+    assert!(says("b.ply", "b.glb", &[]));
 }
 
 #[test]
