@@ -1,4 +1,4 @@
-//! Which edges of the program an input takes, from the counters that LLVM's SanitizerCoverage adds (.cargo/config.toml).
+//! Which edges of the program an input takes, from the counters that LLVM's SanitizerCoverage adds (coverage.toml).
 #![allow(unsafe_code, reason = "the counters are memory that the compiler lays out")]
 
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering::Relaxed};
@@ -16,6 +16,23 @@ extern "C" fn __sanitizer_cov_8bit_counters_init(start: *mut u8, end: *mut u8) {
     END.store(end.expose_provenance(), Relaxed);
 }
 
+/// The counters; none if the program was built without them. Up to seven edges at either end are left out.
+fn counters() -> &'static [AtomicU64] {
+    let start = START.load(Relaxed).next_multiple_of(IN_WORD);
+    let words = END.load(Relaxed).saturating_sub(start) / IN_WORD;
+    if words == 0 {
+        return &[];
+    }
+    // SAFETY: the linker gave this range of plain bytes and it lives as long as the program; the start is aligned above.
+    // Everybody writes to it without locks, so it is shared as atomics.
+    unsafe { std::slice::from_raw_parts(std::ptr::with_exposed_provenance(start), words) }
+}
+
+/// Whether the program was built with counters.
+pub fn is_built_in() -> bool {
+    !counters().is_empty()
+}
+
 /// How often each edge was taken, as classes of counts, over all inputs.
 pub struct Coverage {
     counters: &'static [AtomicU64],
@@ -24,17 +41,10 @@ pub struct Coverage {
 }
 
 impl Coverage {
-    /// The counters; none if the program was built without them. Up to seven edges at either end are left out.
-    pub fn new() -> Option<Self> {
-        let start = START.load(Relaxed).next_multiple_of(IN_WORD);
-        let words = END.load(Relaxed).checked_sub(start)? / IN_WORD;
-        if words == 0 {
-            return None;
-        }
-        // SAFETY: the linker gave this range of plain bytes and it lives as long as the program; the start is aligned above.
-        // Everybody writes to it without locks, so it is shared as atomics.
-        let counters = unsafe { std::slice::from_raw_parts(std::ptr::with_exposed_provenance(start), words) };
-        Some(Self { counters, seen: vec![[0; IN_WORD]; words] })
+    /// No edge was taken yet. In a program without counters none ever is.
+    pub fn new() -> Self {
+        let counters = counters();
+        Self { counters, seen: vec![[0; IN_WORD]; counters.len()] }
     }
 
     /// Forgets what was counted.

@@ -3,7 +3,7 @@
 use crate::guard::Fault;
 use crate::state::{self, Counts};
 use crate::targets::{Error, Target};
-use crate::{Arguments, WorkFolder, findings};
+use crate::{Arguments, WorkFolder, coverage, findings};
 use std::process::{Child, Command, ExitStatus};
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
@@ -29,6 +29,9 @@ struct Row {
 /// # Errors
 /// If a child cannot be started.
 pub fn run(targets: &[Target], arguments: &Arguments) -> Result<bool, Error> {
+    if !coverage::is_built_in() {
+        println!("built without coverage counters, which fuzz/README.md tells how to add: mutates the seeds alone");
+    }
     let shares: u32 = targets.iter().map(|t| t.share).sum();
     let seconds = arguments.seconds * arguments.jobs as f64 / f64::from(shares);
     let mut queue: Vec<&Target> = targets.iter().collect();

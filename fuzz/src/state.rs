@@ -2,8 +2,7 @@
 
 use crate::case::{Case, File};
 use std::fs;
-use std::io;
-use std::os::unix::fs::FileExt;
+use std::io::{self, Seek, Write};
 use std::path::Path;
 
 const FIELDS: usize = 8;
@@ -61,7 +60,8 @@ impl StateFile {
         }
         // A length of 2^64 − 1 ends the list: an older, longer input may lie behind.
         self.buffer.extend(u64::MAX.to_le_bytes());
-        self.file.write_all_at(&self.buffer, 0)
+        self.file.rewind()?;
+        self.file.write_all(&self.buffer)
     }
 }
 

@@ -166,7 +166,7 @@ fn deform(c: &mut Criterion, anchors: &mut Anchors) -> Result<(), Failure> {
     d.reset(&out);
     d.positions.fill(Vec3::ONE);
     [&mut d.offsets, &mut d.features, &mut d.scales].into_iter().for_each(|d| d.fill(1.0));
-    gad.backward(anchors, &mut tape, &d);
+    gad.backward(anchors, &mut tape, &d, 1.0);
     let reference = GadRef::new(&gad);
     let mut grad = reference.net.zero_grad();
     let (mut values, mut gradients) = (0.0f64, 0.0f64);
@@ -186,7 +186,7 @@ fn deform(c: &mut Criterion, anchors: &mut Anchors) -> Result<(), Failure> {
     });
     measure(c, &row("forward and backward", 3.0 * flops, gradients, "logits' gradients relative to f64"), || {
         gad.forward(anchors, T, &mut tape, &mut out);
-        gad.backward(anchors, &mut tape, &d);
+        gad.backward(anchors, &mut tape, &d, 1.0);
     });
     let kept = out.clone();
     gad.forward(anchors, T, &mut GadTape::default(), &mut out);

@@ -14,6 +14,12 @@
 //! g_Δx = M g_x'     g_Δf = m g_f' …     g_M = ⟨g_x', Δx⟩     g_m = ⟨g_f', Δf⟩ + ⟨g_O', ΔO⟩ + ⟨g_l', Δl⟩
 //! g_x = g_x'     g_f = g_f'     g_O = g_O'     g_λ = g_l' ⊙ exp λ
 //! ```
+//! Changes of features, offsets and scales may be penalised ([`GadConfig::change_l2`]), with `u` the geometric mean of all
+//! `exp λ`, a constant, and means over anchors and values:
+//!
+//! ```text
+//! P = w (mean (m Δf)² + mean (m ΔO)² + mean (m Δl / u)²)
+//! ```
 //! Canonical positions are constants to the net. The result depends on the interval only: a [`LocalAnchors`] kept per interval
 //! is an exact cache. With heads that start at zero the untrained result is the canonical anchors, bit for bit.
 //!
@@ -32,6 +38,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod change;
 mod dynamics;
 mod moving;
 
@@ -41,7 +48,7 @@ use crate::{AnchorShape, Anchors, LocalAnchors, LocalAnchorsGrad};
 use dynamics::weights_backward;
 use glam::Vec3;
 use gs_core::nn::BLOCK;
-use gs_core::{Param, Params, Time};
+use gs_core::{Param, Params, Time, cast};
 use gs_deform::encode::{GridCells, HexPlaneConfig};
 use gs_deform::{Aabb, DeformError, PlaneNet, PlaneNetConfig, PlaneNetTape};
 use rayon::prelude::*;
@@ -92,6 +99,9 @@ impl GadHead {
 pub struct GadConfig {
     /// The columns that change; a head that is not listed is not built.
     pub heads: Vec<GadHead>,
+    /// Weight of the squared changes of features, offsets and scales, not negative; 0: no penalty (published). Of each column
+    /// the mean over anchors and values counts, and their sum. Scales are in units of the geometric mean of all scales.
+    pub change_l2: f32,
     /// How an anchor's logits scale the changes.
     pub dynamics: Dynamics,
     /// Size and regularisers of the network.
@@ -109,7 +119,7 @@ impl Default for GadConfig {
             ..HexPlaneConfig::default()
         };
         let net = PlaneNetConfig { hexplane, ..PlaneNetConfig::default() };
-        Self { heads: GadHead::ALL.to_vec(), dynamics: Dynamics::default(), net }
+        Self { heads: GadHead::ALL.to_vec(), change_l2: 0.0, dynamics: Dynamics::default(), net }
     }
 }
 
@@ -156,6 +166,8 @@ struct Block {
     d_weights: Vec<[f32; 2]>,
     /// Cotangents of one column, `[rows, width]`.
     d: Vec<f32>,
+    /// The anchors' part of the penalty on changes.
+    penalty: f64,
 }
 
 impl Gad {
@@ -169,6 +181,9 @@ impl Gad {
         let twice = |h: &GadHead| config.heads.iter().filter(|o| *o == h).count() > 1;
         if config.heads.is_empty() || config.heads.iter().any(twice) {
             return reject("heads", format!("{:?}", config.heads), "one to four different heads");
+        }
+        if !(config.change_l2 >= 0.0 && config.change_l2.is_finite()) {
+            return reject("change_l2", config.change_l2.to_string(), "finite, not negative");
         }
         if !(0.0..1.0).contains(&config.dynamics.threshold) {
             return reject("threshold", config.dynamics.threshold.to_string(), "from 0 to below 1");
@@ -219,17 +234,23 @@ impl Gad {
     }
 
     /// Backward of [`Gad::forward`] of the same anchors with the same parameters, from the cotangents `d` of its
-    /// output: adds to the gradients of the anchors and of the field.
-    pub fn backward(&mut self, anchors: &mut Anchors, tape: &mut GadTape, d: &LocalAnchorsGrad) {
+    /// output and, with `share`, from the penalty on changes ([`GadConfig::change_l2`]): adds to the gradients of the
+    /// anchors and of the field. Returns the penalty, weight and share applied.
+    pub fn backward(&mut self, anchors: &mut Anchors, tape: &mut GadTape, d: &LocalAnchorsGrad, share: f32) -> f32 {
+        let factors = self.change_factors(anchors, share);
         let GadTape { net, scales, blocks, .. } = tape;
         let shape = anchors.shape();
         net.blocks_mut().par_iter_mut().zip(&mut *blocks).enumerate().for_each(|(b, (output, block))| {
-            let Block { weights, d_weights, d: d_column } = block;
+            let Block { weights, d_weights, d: d_column, penalty } = block;
+            *penalty = 0.0;
             d_weights.clear();
             d_weights.resize(weights.len(), [0.0; 2]);
             for (h, head) in self.config.heads.iter().enumerate() {
                 let (width, which) = (head.width(shape), usize::from(*head != GadHead::Positions));
                 head.gather(d, b * BLOCK..b * BLOCK + weights.len(), width, d_column);
+                if factors[h] > 0.0 {
+                    *penalty += change::penalise(factors[h], width, output.head(h), weights, d_column);
+                }
                 let rows = output.head(h).chunks_exact(width).zip(d_column.chunks_exact(width));
                 for ((delta, g), d_weight) in rows.zip(&mut *d_weights) {
                     d_weight[which] += delta.iter().zip(g).map(|(delta, g)| delta * g).sum::<f32>();
@@ -242,11 +263,13 @@ impl Gad {
         });
         self.net.backward(net, None);
         anchors.add_grads(scales, d);
-        let Some(dynamics) = &mut anchors.dynamics else { return };
+        let penalty = cast::to_f32(blocks.iter().map(|b| b.penalty).sum());
+        let Some(dynamics) = &mut anchors.dynamics else { return penalty };
         let rows = blocks.iter().flat_map(|b| b.weights.iter().zip(&b.d_weights));
         for (to, (weights, d)) in dynamics.grad.chunks_exact_mut(shape.dynamics).zip(rows) {
             weights_backward(*weights, *d, to);
         }
+        penalty
     }
 
     /// Adds the weighted gradients of the planes' regularisers; returns their weighted values by name.

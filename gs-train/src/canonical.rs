@@ -38,7 +38,7 @@ impl Canonical {
     /// If the initial points cannot be used.
     pub fn new(config: &CloudConfig, schedule: &mut Schedule, scene: &SceneInfo) -> Result<Self, MethodError> {
         schedule.check()?;
-        config.kernel.hold_back(schedule);
+        config.kernel.hold_back(&mut schedule.lr);
         let (points, most) = (scene.points.positions.len(), schedule.density.max_splats);
         if points > most as usize {
             let why =

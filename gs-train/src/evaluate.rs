@@ -57,8 +57,8 @@ fn protocol(scoring: &Scoring<'_>, offset: bool) -> String {
 fn rounded(quantise: Quantise) -> String {
     let rounded = match quantise {
         Quantise::None => return PROTOCOL.to_owned(),
-        Quantise::Round => "frames and truths clamped to [0, 1] and rounded to 8 bit",
-        Quantise::Truncate => "frames clamped to [0, 1] and truncated to 8 bit, truths rounded",
+        Quantise::Round => "frames and ground-truth images clamped to [0, 1] and rounded to 8 bit",
+        Quantise::Truncate => "frames clamped to [0, 1] and truncated to 8 bit, ground-truth images rounded",
     };
     PROTOCOL.replace("f32 frames clamped to [0, 1], not quantised", rounded)
 }
@@ -362,9 +362,9 @@ pub struct Scoring<'a> {
     pub share: &'a Share,
     /// What renders.
     pub device: &'a Device,
-    /// Rounding of frames to 8 bit; unless it is [`Quantise::None`], truths are rounded over their background.
+    /// Rounding of frames to 8 bit; unless it is [`Quantise::None`], ground-truth images are rounded over their background.
     pub quantise: Quantise,
-    /// Reduces frames, truths and masks to half size before they are scored ([`half_size`]), after rounding.
+    /// Reduces frames, ground-truth images and masks to half size before they are scored ([`half_size`]), after rounding.
     pub half: bool,
     /// Scores LPIPS as well.
     pub lpips: Option<&'a Lpips>,

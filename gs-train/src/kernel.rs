@@ -1,12 +1,12 @@
 //! The section `[cloud.kernel]`: the fall-off of the splats of any cloud, moving or at rest.
 
 use crate::capabilities::Quantity;
-#[cfg(feature = "cloud")]
-use crate::schedule::Schedule;
+use crate::schedule::LearningRate;
 use gs_core::Kernel;
 use gs_core::cloud::KernelInit;
 use gs_core::kernel::BetaMode;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Which fall-off the splats of a cloud have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -66,14 +66,20 @@ impl KernelConfig {
         }
     }
 
-    /// Holds back in the schedule what does not learn, or not yet.
-    #[cfg(feature = "cloud")]
-    pub(crate) fn hold_back(&self, schedule: &mut Schedule) {
-        for (name, learns) in [("lambda", self.learn_lambda), ("beta", self.learn_beta), ("acutance", true)] {
+    /// Holds back among the learning rates of a schedule those of parameters that the splats do not have, or that do not learn, or not
+    /// yet.
+    pub(crate) fn hold_back(&self, rates: &mut BTreeMap<String, BTreeMap<String, LearningRate>>) {
+        let of = |kind: KernelKind, learns: bool| self.kind == kind && learns;
+        let cloud = rates.entry("cloud".to_owned()).or_default();
+        for (name, learns) in [
+            ("lambda", of(KernelKind::Frequency, self.learn_lambda)),
+            ("beta", of(KernelKind::Frequency, self.learn_beta)),
+            ("acutance", of(KernelKind::Acutance, true)),
+        ] {
             if !learns {
-                schedule.freeze(&format!("cloud.{name}"));
-            } else if let Some(rule) = schedule.lr.get_mut("cloud").and_then(|group| group.get_mut(name)) {
-                rule.from = rule.from.max(self.from_step);
+                cloud.insert(name.to_owned(), LearningRate::constant(0.0));
+            } else if let Some(rate) = cloud.get_mut(name) {
+                rate.from = rate.from.max(self.from_step);
             }
         }
     }

@@ -18,6 +18,10 @@ use serde::de::DeserializeOwned;
 use std::sync::Arc;
 
 /// Processes, or threads, that call the same functions in the same order.
+///
+/// After a [`RanksError`] the other ranks may be at another place, where they would take what this one sends for something else, or wait
+/// for it for ever. So this one sends nothing more, which [`Trainer`](crate::trainer::Trainer) and [`Share`] see to, and its process ends at
+/// once: MPI ends a job of which one process goes without `MPI_Finalize`.
 pub trait Ranks: Send + Sync {
     /// Number of this rank, from 0.
     fn rank(&self) -> usize;
@@ -63,13 +67,23 @@ pub fn alone() -> Arc<dyn Ranks> {
     Arc::new(Alone)
 }
 
-/// A fact of every rank, in the order of ranks, on every rank; numbers that are not finite, too (CBOR, where JSON has none).
+/// A fact of every rank, numbers that are not finite too, in the order of ranks, on every rank.
 ///
 /// # Errors
 /// If a rank cannot be reached, or sends something else.
 pub fn all_gather<T: Serialize + DeserializeOwned>(ranks: &dyn Ranks, fact: &T) -> Result<Vec<T>, RanksError> {
+    let received = ranks.all_gather(packed(fact)?)?.into_iter().enumerate();
+    received.map(|(rank, bytes)| unpacked(rank, &bytes)).collect()
+}
+
+/// A fact as bytes, with numbers that are not finite (CBOR, where JSON has none).
+fn packed<T: Serialize>(fact: &T) -> Result<Vec<u8>, RanksError> {
     let mut bytes = Vec::new();
     ciborium::into_writer(fact, &mut bytes).map_err(|e| RanksError { what: e.to_string() })?;
-    let received = ranks.all_gather(bytes)?.into_iter().enumerate();
-    received.map(|(rank, bytes)| ciborium::from_reader(&bytes[..]).map_err(|_| RanksError::short(rank))).collect()
+    Ok(bytes)
+}
+
+/// The fact that a rank has [`packed`].
+fn unpacked<T: DeserializeOwned>(rank: usize, bytes: &[u8]) -> Result<T, RanksError> {
+    ciborium::from_reader(bytes).map_err(|_| RanksError::short(rank))
 }

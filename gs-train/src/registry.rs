@@ -70,6 +70,12 @@ pub fn own_settings(mut config: toml::Table) -> toml::Table {
     config
 }
 
+/// Whether rows grow and are pruned at a step of the schedule's clock, from 1.
+pub type Grows = Box<dyn Fn(u32) -> bool>;
+
+/// Reads the rules by which rows grow from a resolved configuration.
+pub type ReadGrowth = fn(&toml::Table) -> Result<Grows, MethodError>;
+
 /// Builds a method for a scene from a resolved configuration, [`own_settings`].
 pub type Build = fn(&toml::Table, &SceneInfo) -> Result<Model, MethodError>;
 
@@ -89,6 +95,8 @@ pub struct MethodEntry {
     pub domains: &'static [Domain],
     /// Whether it can be built only for a filmed person: [`SceneInfo::avatar`].
     pub needs_avatar: bool,
+    /// When rows grow and are pruned; none where `[schedule.density]` alone says it.
+    pub grows: Option<ReadGrowth>,
     /// Builds the method for a scene from a resolved configuration; [`Self::model`] checks the configuration first.
     pub build: Build,
 }

@@ -246,13 +246,6 @@ impl Schedule {
         self.batch as f32 / self.lr_batch.unwrap_or(self.batch) as f32
     }
 
-    /// Lets a parameter rest for the whole run.
-    pub fn freeze(&mut self, parameter: &str) {
-        if let Some((group, name)) = parameter.split_once('.') {
-            self.lr.entry(group.to_owned()).or_default().insert(name.to_owned(), LearningRate::constant(0.0));
-        }
-    }
-
     /// The image loss of these weights, without the terms of the method's own.
     pub(crate) fn image_loss(&self) -> ImageLoss {
         ImageLoss::new(self.lambda_l1.unwrap_or(1.0 - self.lambda_dssim))
@@ -431,7 +424,7 @@ pub(crate) mod tests {
             (Some(true), Some(false)),
             "tables only where their group says so"
         );
-        s.freeze("cloud.means");
+        *rate(&mut s, "cloud", "means") = LearningRate::constant(0.0);
         assert_eq!((s.update(&means, 1, 1.0), s.update(&Param::shared("other", vec![]), 1, 1.0)), (None, None));
     }
 

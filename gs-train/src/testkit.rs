@@ -147,6 +147,11 @@ pub fn threads_as_ranks(count: usize) -> Vec<Arc<dyn Ranks>> {
     ends.into_iter().enumerate().map(rank).collect()
 }
 
+/// Does the work of one of several ranks on a thread of its own: ranks that share threads wait for each other.
+pub fn on_a_thread<T: Send>(work: impl FnOnce() -> T + Send) -> T {
+    rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("pool").install(work)
+}
+
 /// Lets ranks make a run together, each on one thread: `lead` is called with that of the first.
 pub fn on_ranks<T: Send>(
     registry: &Registry,
@@ -157,12 +162,11 @@ pub fn on_ranks<T: Send>(
 ) -> T {
     let mut ranks = threads_as_ranks(count);
     let first = ranks.remove(0);
-    let alone = || rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("pool");
     std::thread::scope(|scope| {
         for rank in ranks {
             let follow = move || Trainer::join(registry, Ok(data.clone()), 64 << 20, rank).and_then(|mut t| t.follow());
-            scope.spawn(move || alone().install(follow).expect("rank"));
+            scope.spawn(move || on_a_thread(follow).expect("rank"));
         }
-        alone().install(|| lead(trainer.lead(first).expect("first rank")))
+        on_a_thread(|| lead(trainer.lead(first).expect("first rank")))
     })
 }

@@ -1,10 +1,14 @@
 //! What happens at which step of a run, in words.
 
 use crate::densify::DensifyRules;
+use crate::kernel::KernelConfig;
+use crate::method::MethodError;
+use crate::registry::{Grows, MethodEntry, section};
 use crate::schedule::{Background, Decay, LearningRate, Stage, ordered};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fmt;
+use toml::Table;
 
 /// Steps of a run that count from the same start, from 1.
 struct Clock {
@@ -12,8 +16,21 @@ struct Clock {
     end: u32,
 }
 
-/// The time-line of a [`Schedule`](crate::schedule::Schedule), read from a section `[schedule]`, where methods may have settings of
-/// their own. Displayed: a line for each stage, then density control, SH degrees and learning rates.
+impl Clock {
+    /// Its steps, as it counts them.
+    fn steps(&self) -> std::ops::RangeInclusive<u32> {
+        1..=self.end - self.begin + 1
+    }
+
+    /// The first and the last of some of its steps, counted from the start of the run, and their number; none of no steps.
+    fn span(&self, steps: impl DoubleEndedIterator<Item = u32> + Clone) -> Option<(u32, u32, usize)> {
+        let (first, last) = (steps.clone().next()?, steps.clone().next_back()?);
+        Some((first + self.begin - 1, last + self.begin - 1, steps.count()))
+    }
+}
+
+/// The time-line of the settings of a method. Displayed: a line for each stage, then density control, rules of the method's own by which
+/// rows grow, SH degrees and learning rates.
 #[derive(Clone, Debug, Deserialize)]
 pub struct Timeline {
     stages: BTreeMap<String, Stage>,
@@ -21,9 +38,31 @@ pub struct Timeline {
     density: Option<DensifyRules>,
     sh_every: u32,
     background: Background,
+    /// First step, last step and number of the passes by the method's own rules, clock by clock.
+    #[serde(skip)]
+    own_passes: Vec<(u32, u32, usize)>,
 }
 
 impl Timeline {
+    /// Reads the section `[schedule]`, where methods may have settings of their own, and, of methods with a cloud, `[cloud.kernel]`,
+    /// of which only some parameters learn.
+    ///
+    /// # Errors
+    /// If `[schedule]` is missing or cannot be read, or the section of a method by which rows grow.
+    pub fn of(entry: &MethodEntry, settings: &Table) -> Result<Self, MethodError> {
+        let mut timeline: Self = section(entry.name, settings, "schedule")?;
+        if let Some(cloud) = settings.get("cloud") {
+            let kernel = cloud.get("kernel").cloned().and_then(|kernel| kernel.try_into::<KernelConfig>().ok());
+            kernel.unwrap_or_default().hold_back(&mut timeline.lr);
+        }
+        if let Some(grows) = entry.grows {
+            let grows: Grows = grows(settings)?;
+            let passes = |clock: Clock| clock.span(clock.steps().filter(|step| grows(*step)));
+            timeline.own_passes = timeline.clocks().into_iter().filter_map(passes).collect();
+        }
+        Ok(timeline)
+    }
+
     fn clocks(&self) -> Vec<Clock> {
         let mut clocks: Vec<Clock> = Vec::new();
         let mut end = 0;
@@ -61,21 +100,21 @@ impl Timeline {
 
     fn density(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Some(rules) = &self.density else { return Ok(()) };
-        for Clock { begin, end } in self.clocks() {
-            let edits = (1..=end - begin + 1).filter(|clock| self.edits(rules, begin - 1, *clock));
-            let passes = edits.clone().filter(|clock| rules.grows_at(*clock));
+        for clock in self.clocks() {
+            let edits = clock.steps().filter(|step| self.edits(rules, clock.begin - 1, *step));
+            let passes = edits.clone().filter(|step| rules.grows_at(*step));
             let white = self.background == Background::White;
-            let resets = edits.filter(|clock| rules.resets_at(*clock, white)).count();
-            if let (Some(first), Some(last)) = (passes.clone().next(), passes.clone().next_back()) {
-                let [first, last] = [first, last].map(|s| s + begin - 1);
-                writeln!(
-                    f,
-                    "{first} to {last}: {} passes of density control, {resets} opacity resets",
-                    passes.count()
-                )?;
+            let resets = edits.filter(|step| rules.resets_at(*step, white)).count();
+            if let Some((first, last, count)) = clock.span(passes) {
+                writeln!(f, "{first} to {last}: {count} passes of density control, {resets} opacity resets")?;
             }
         }
         Ok(())
+    }
+
+    fn own_passes(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut passes = self.own_passes.iter();
+        passes.try_for_each(|(first, last, count)| writeln!(f, "{first} to {last}: {count} passes that grow and prune"))
     }
 
     fn rates(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -101,6 +140,7 @@ impl fmt::Display for Timeline {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.stages(f)?;
         self.density(f)?;
+        self.own_passes(f)?;
         if self.sh_every > 0 {
             writeln!(f, "every {} steps the SH degree rises", self.sh_every)?;
         }
@@ -136,19 +176,41 @@ fn about(stage: &Stage, begin: u32, moves: bool) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::registry::overlay;
     use crate::schedule::Schedule;
     use crate::schedule::tests::schedule;
+    use toml::Value;
+
+    const ENTRY: MethodEntry = MethodEntry {
+        name: "moving",
+        about: "",
+        defaults: &[],
+        presets: &[],
+        domains: &[],
+        needs_avatar: false,
+        grows: None,
+        build: |_, _| unreachable!("only its settings are read"),
+    };
+
+    fn stage(steps: u32, own_clock: bool) -> Stage {
+        Stage { steps, own_clock, image_scale: 1.0, dynamic: own_clock, ..Stage::default() }
+    }
+
+    /// The time-line of a schedule and other sections.
+    fn of(entry: &MethodEntry, schedule: &Schedule, others: &str) -> String {
+        let mut settings: Table = others.parse().unwrap();
+        let schedule = Value::try_from(schedule).unwrap();
+        overlay(&mut settings, Table::from_iter([("schedule".to_owned(), schedule)]));
+        Timeline::of(entry, &settings).unwrap().to_string()
+    }
 
     #[test]
     fn a_timeline_says_what_happens_when() {
-        let stage =
-            |steps, own_clock| Stage { steps, own_clock, image_scale: 1.0, dynamic: own_clock, ..Stage::default() };
         let moving = Stage { window_parts: 5, window_until: 0.5, ..stage(4000, true) };
         let mut schedule = schedule(vec![stage(1000, false), moving]);
         schedule.density.from = 500;
         schedule.density.until = 2000;
-        let text =
-            |schedule: &Schedule| toml::Table::try_from(schedule).unwrap().try_into::<Timeline>().unwrap().to_string();
+        let text = |schedule: &Schedule| of(&ENTRY, schedule, "");
         let want = "1 to 1000: s, the scene rests\n\
             1001 to 5000: r, images let in by time in at most 5 parts, all alike from step 3001\n\
             600 to 1000: 5 passes of density control, 0 opacity resets\n\
@@ -169,5 +231,37 @@ mod tests {
         assert!(!text(&schedule).contains("rests"), "nothing moves in any stage");
         schedule.lr.get_mut("field").unwrap().insert("all".to_owned(), LearningRate::constant(0.0));
         assert!(!text(&schedule).contains("field.all") && text(&schedule).contains("field.planes"));
+    }
+
+    #[test]
+    fn rates_of_kernels_are_those_that_learn() {
+        let mut schedule = schedule(vec![stage(100, false)]);
+        let cloud = schedule.lr.get_mut("cloud").unwrap();
+        for name in ["lambda", "beta", "acutance"] {
+            cloud.insert(name.to_owned(), LearningRate::constant(2e-3));
+        }
+        let said = |kernel: &str| {
+            let text = of(&ENTRY, &schedule, &format!("[cloud.kernel]\n{kernel}"));
+            let rates = text.lines().filter_map(|line| line.strip_prefix("learning rate cloud."));
+            rates.filter(|rate| !rate.starts_with("means")).map(str::to_owned).collect::<Vec<_>>()
+        };
+        assert!(said("kind = 'gaussian'").is_empty());
+        assert_eq!(said("kind = 'frequency'\nlearn_beta = false\nfrom_step = 70"), ["lambda from step 70: 2e-3"]);
+        assert_eq!(said("kind = 'acutance'"), ["acutance: 2e-3"]);
+    }
+
+    #[test]
+    fn rows_grow_by_the_methods_own_rules_on_every_clock() {
+        let schedule = schedule(vec![stage(1000, false), stage(4000, true)]);
+        let grows = |settings: &Table| -> Result<Grows, MethodError> {
+            let every: u32 =
+                section("moving", settings, "growth").map(|growth: BTreeMap<String, u32>| growth["every"])?;
+            Ok(Box::new(move |clock| clock > 500 && clock < 2000 && clock.is_multiple_of(every)))
+        };
+        let entry = MethodEntry { grows: Some(grows), ..ENTRY };
+        let text = of(&entry, &schedule, "[growth]\nevery = 100");
+        assert!(text.contains("600 to 1000: 5 passes that grow and prune\n"), "{text}");
+        assert!(text.contains("1600 to 2900: 14 passes that grow and prune\n"), "{text}");
+        assert!(Timeline::of(&entry, &Table::try_from(&schedule).unwrap()).is_err());
     }
 }

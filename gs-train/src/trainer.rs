@@ -40,7 +40,7 @@ use on_device::Resident;
 use prefetch::Prefetch;
 pub use render_pass::Phases;
 use render_pass::{RenderPass, Stopwatch};
-use team::{Command, Team, all_gather_results};
+use team::{Command, Team, all_gather_results, lost};
 use view_order::ViewOrder;
 
 /// What a run needs beside data and configuration.
@@ -266,7 +266,8 @@ impl Trainer {
     /// the step the state is to be thrown away: the last checkpoint is good.
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
         self.ask(Command::Step)?;
-        self.step_with_ranks()
+        let made = self.step_with_ranks();
+        self.ranks.done(made, lost)
     }
 
     fn step_with_ranks(&mut self) -> Result<StepReport, TrainError> {

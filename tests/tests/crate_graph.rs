@@ -114,7 +114,7 @@ fn the_report_knows_no_method() {
 #[test]
 fn every_member_of_the_workspace_is_in_the_graph() {
     let known = GRAPH.iter().map(|g| g.1.to_owned()).chain(APPS.iter().map(|a| format!("apps/{}", a.0)));
-    assert_eq!(members(), known.chain(["tests".to_owned()]).collect());
+    assert_eq!(members(), known.chain(["tests", "fuzz"].map(str::to_owned)).collect());
 }
 
 /// Helpers of tests are a feature `testkit`, which no build but that of tests and benches may turn on.

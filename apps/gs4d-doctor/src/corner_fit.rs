@@ -18,8 +18,25 @@ const WRONG_SHARE: f64 = 0.15;
 const RIGHT: [(f64, f64); 2] = [(0.5, 30.0), (0.65, 60.0)];
 /// Most views that are examined.
 const MAX_SUSPECTS: usize = 16;
+/// So many views are flagged one by one, whatever their share.
+const MIN_FLAGGED: usize = 3;
 /// Views that are turned to learn what would be found.
 const TRIED_VIEWS: usize = 12;
+
+/// What corners say of views, one by one.
+pub(super) struct Wrong {
+    pub(super) elsewhere: Vec<Elsewhere>,
+    /// Number of views that were examined, the most doubtful of `suspects`.
+    pub(super) examined: usize,
+    suspects: usize,
+}
+
+impl Wrong {
+    /// Whether more than a quarter of `views` views are wrong, if as many of the suspects are as of those that were examined.
+    pub(super) fn doubts_all(&self, views: usize) -> bool {
+        self.elsewhere.len() * self.suspects > (views / 4).max(MIN_FLAGGED) * self.examined
+    }
+}
 
 /// A view whose matches agree with another pose than its own.
 #[derive(Clone, Debug)]
@@ -44,8 +61,19 @@ impl<'m, 'v> CornerFit<'m, 'v> {
         Self { matches, focus, right: RIGHT[usize::from(dynamic)] }
     }
 
-    /// Views with wrong poses, and the number of views whose matches were asked.
-    pub(super) fn wrong(&self) -> (Vec<Elsewhere>, usize) {
+    /// Views with wrong poses, of those of whose matches with neighbours fewest agree with the poses.
+    pub(super) fn wrong(&self) -> Wrong {
+        let (m, mut examined) = (self.matches, self.suspects());
+        let suspects = examined.len();
+        examined.truncate(MAX_SUSPECTS);
+        examined.sort_unstable();
+        let found: Vec<Option<Elsewhere>> =
+            examined.par_iter().map(|&i| self.elsewhere(i, &m.cameras[i], &self.partners(i))).collect();
+        Wrong { elsewhere: found.into_iter().flatten().collect(), examined: examined.len(), suspects }
+    }
+
+    /// Views of whose matches few agree with the poses, the fewest first.
+    fn suspects(&self) -> Vec<usize> {
         let m = self.matches;
         let shares: Vec<(usize, f64)> = (0..m.views.len()).map(|i| self.with_neighbours(i)).collect();
         let usual = super::median(&shares.iter().map(|s| s.0 as f64).collect::<Vec<_>>());
@@ -54,11 +82,7 @@ impl<'m, 'v> CornerFit<'m, 'v> {
         let suspect = |&i: &usize| lonely(shares[i].0) || shares[i].0 >= MIN_MATCHES && shares[i].1 < SUSPECT_SHARE;
         let mut suspects: Vec<usize> = (0..m.views.len()).filter(suspect).collect();
         suspects.sort_by(|a, b| shares[*a].1.total_cmp(&shares[*b].1));
-        suspects.truncate(MAX_SUSPECTS);
-        suspects.sort_unstable();
-        let found: Vec<Option<Elsewhere>> =
-            suspects.par_iter().map(|&i| self.elsewhere(i, &m.cameras[i], &self.partners(i))).collect();
-        (found.into_iter().flatten().collect(), suspects.len())
+        suspects
     }
 
     /// Views with wrong poses by the matches that `partners` gives for each.
@@ -113,10 +137,9 @@ impl<'m, 'v> CornerFit<'m, 'v> {
 
     /// Turns views of the data by an angle, one at a time, and counts those that would be flagged.
     pub(super) fn turns_found(&self, degrees: f64) -> Found {
-        let n = self.matches.views.len();
-        let count = n.min(TRIED_VIEWS);
+        let tried: Vec<usize> = gs_data::evenly(self.matches.views.len(), TRIED_VIEWS).collect();
         let found = |k: usize| {
-            let i = k * n / count;
+            let i = tried[k];
             let camera = turned_by(&self.matches.cameras[i], degrees.to_radians(), 2.4 * k as f64);
             let near = self.matches.of_view(i);
             let matched: usize = near.iter().map(|p| p.1.len()).sum();
@@ -124,6 +147,23 @@ impl<'m, 'v> CornerFit<'m, 'v> {
                 && share(&camera, &self.seen(&near), self.matches.tolerance) < SUSPECT_SHARE
                 && self.elsewhere(i, &camera, &near).is_some()
         };
-        Found { found: (0..count).into_par_iter().filter(|k| found(*k)).count(), tried: count }
+        Found { found: (0..tried.len()).into_par_iter().filter(|k| found(*k)).count(), tried: tried.len() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_whole_is_doubted_by_the_share_of_what_was_examined() {
+        let doubts = |wrong: usize, examined: usize, suspects: usize, views: usize| {
+            let elsewhere = vec![Elsewhere { view: 0, shares: [0.0, 1.0], degrees: 10.0 }; wrong];
+            Wrong { elsewhere, examined, suspects }.doubts_all(views)
+        };
+        assert!(!doubts(3, 8, 8, 12) && doubts(4, 8, 8, 12));
+        assert!(!doubts(4, 16, 200, 200) && doubts(5, 16, 200, 200));
+        assert!(!doubts(16, 16, 50, 200), "no more suspects than a quarter");
+        assert!(!doubts(0, 0, 0, 40));
     }
 }

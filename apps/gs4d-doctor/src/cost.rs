@@ -16,12 +16,13 @@ use gs_core::Rng;
 use gs_data::{Dataset, View};
 use gs_train::densify::GrowthLimits;
 use gs_train::registry::Registry;
+use gs_train::scene::SceneInfo;
 use gs_train::schedule::Schedule;
 use gs_train::trainer::{TrainOptions, Trainer};
 use gs4d_report::IMAGE_SIDE;
 use gs4d_run::RunError;
 use gs4d_run::memory;
-use gs4d_run::settings::{Request, Resolved, resolve};
+use gs4d_run::settings::{Request, Resolved, RunSettings, resolve};
 use gs4d_run::summary::images_held;
 use serde::Serialize;
 use std::sync::Arc;
@@ -174,21 +175,26 @@ fn duration(seconds: f64) -> String {
 fn measure(data: &Dataset, options: &CostOptions) -> Result<Cost, String> {
     let resolved = resolved(data, options).map_err(|e| e.to_string())?;
     resolved.fits(data).map_err(|e| e.to_string())?;
-    let trial = Trial { data: Arc::new(data.clone()), resolved: &resolved };
-    let whole = trial.trainer(trial.data.clone(), &resolved.method)?;
+    let data = Arc::new(data.clone());
+    let (begun, whole) = Trial::new(data.clone(), &resolved, 1)?;
     let (schedule, growth) = (whole.model().schedule().clone(), whole.model().capabilities().growth);
     let few = Size::of(&whole);
-    let [compared, reduced] = images_held(whole.model(), data).map_err(|e| e.to_string())?;
-    drop(whole);
+    let [compared, reduced] = images_held(whole.model(), &data).map_err(|e| e.to_string())?;
     let growth = growth.filter(|g| g.most > few.splats);
     let most = growth.map_or(few.splats, |g| g.most);
+    drop(whole);
+    let times = (most / few.splats.max(1)).clamp(2, MAX_POINT_FACTOR);
+    let grown = match growth {
+        Some(_) => Some(Trial::new(Arc::new(denser(&data, times)), &resolved, times)?.0),
+        None => None,
+    };
     let mut stages = Vec::new();
     let mut values = few.values as f64;
     for (name, stage) in schedule.ordered() {
-        let (first, _) = trial.step_ms(name, None)?;
+        let (first, _) = begun.step_ms(name)?;
         let mut ms = [first; 2];
-        if growth.is_some() {
-            let (other, many) = trial.step_ms(name, Some((most / few.splats.max(1)).clamp(2, MAX_POINT_FACTOR)))?;
+        if let Some(grown) = &grown {
+            let (other, many) = grown.step_ms(name)?;
             if many.splats > few.splats {
                 let more = (most - few.splats) as f64 / (many.splats - few.splats) as f64;
                 ms[1] = first + more * (other - first).max(0.0);
@@ -197,7 +203,7 @@ fn measure(data: &Dataset, options: &CostOptions) -> Result<Cost, String> {
         }
         stages.push(StageCost { name: name.to_owned(), steps: stage.steps, ms });
     }
-    let (images, largest) = decoded(data, &schedule);
+    let (images, largest) = decoded(&data, &schedule);
     let kept = images.map(|i| i.min(f64::from(resolved.run.image_mib) * MIB)).iter().sum::<f64>();
     let held = compared as f64 * largest + reduced as f64 * largest.min((IMAGE_SIDE * IMAGE_SIDE) as f64);
     let pixels = BYTES_PER_PIXEL * largest + BYTES_PER_HELD_PIXEL * held;
@@ -232,24 +238,36 @@ impl Size {
     }
 }
 
-/// The data and settings of the measured runs.
+/// Runs of single stages that begin with the same points: those of a visual hull take long to make.
 struct Trial<'a> {
     data: Arc<Dataset>,
     resolved: &'a Resolved,
+    /// Settings of the method.
+    method: Table,
+    scene: SceneInfo,
 }
 
-impl Trial<'_> {
-    fn trainer(&self, data: Arc<Dataset>, method: &Table) -> Result<Trainer, String> {
-        let run = &self.resolved.run;
-        let options = TrainOptions { seed: run.seed, image_bytes: run.image_bytes() };
-        Trainer::new(&self.resolved.registry, data, &run.method, method, options).map_err(|e| e.to_string())
+impl<'a> Trial<'a> {
+    /// With the initial points of the settings multiplied by `times`; also the run of all stages.
+    fn new(data: Arc<Dataset>, resolved: &'a Resolved, times: usize) -> Result<(Self, Trainer), String> {
+        let (run, method) = (&resolved.run, with_points(&resolved.method, times));
+        let whole = Trainer::new(&resolved.registry, data.clone(), &run.method, &method, train_options(run));
+        let whole = whole.map_err(|e| e.to_string())?;
+        Ok((Self { data, resolved, method, scene: whole.scene().clone() }, whole))
     }
 
-    /// Median milliseconds of a step of a stage, with the initial points multiplied by `times`, and the model's size. Image
-    /// decoding is subtracted where the cache keeps all images.
-    fn step_ms(&self, stage: &str, times: Option<usize>) -> Result<(f64, Size), String> {
-        let data = times.map_or_else(|| self.data.clone(), |times| Arc::new(denser(&self.data, times)));
-        let mut trainer = self.trainer(data, &only(&self.resolved.method, stage, times))?;
+    /// The run of one stage.
+    fn trainer(&self, stage: &str) -> Result<Trainer, String> {
+        let Self { data, resolved, method, scene } = self;
+        let entry = resolved.registry.find(&resolved.run.method).map_err(|e| e.to_string())?;
+        let model = entry.model(&only(method, stage), scene).map_err(|e| e.to_string())?;
+        let options = train_options(&resolved.run);
+        Trainer::with_method(model, data.clone(), scene.clone(), options).map_err(|e| e.to_string())
+    }
+
+    /// Median milliseconds of a step of a stage, and the model's size. Image decoding is subtracted where the cache keeps all images.
+    fn step_ms(&self, stage: &str) -> Result<(f64, Size), String> {
+        let mut trainer = self.trainer(stage)?;
         let size = Size::of(&trainer);
         let [training, _] = decoded(&self.data, trainer.model().schedule()).0;
         let kept = training <= f64::from(self.resolved.run.image_mib) * MIB;
@@ -293,8 +311,12 @@ fn seconds(stages: &[StageCost], schedule: &Schedule, growth: Option<GrowthLimit
     1e-3 * ms
 }
 
-/// The settings with one stage only, and the initial points multiplied by `times`.
-fn only(method: &Table, stage: &str, times: Option<usize>) -> Table {
+fn train_options(run: &RunSettings) -> TrainOptions {
+    TrainOptions { seed: run.seed, image_bytes: run.image_bytes() }
+}
+
+/// The settings with one stage only.
+fn only(method: &Table, stage: &str) -> Table {
     let mut table = method.clone();
     if let Some(Value::Table(stages)) = table.get_mut("schedule").and_then(|s| s.get_mut("stages")) {
         for (_, s) in stages.iter_mut().filter(|(name, _)| *name != stage) {
@@ -303,9 +325,15 @@ fn only(method: &Table, stage: &str, times: Option<usize>) -> Table {
             }
         }
     }
+    table
+}
+
+/// The settings with the initial points multiplied by `times`.
+fn with_points(method: &Table, times: usize) -> Table {
+    let mut table = method.clone();
     // The limit on anchors holds for the initial ones, too.
     for (section, key) in [("init", "points"), ("adapt", "max_anchors")] {
-        if let (Some(times), Some(Value::Integer(n))) = (times, table.get_mut(section).and_then(|s| s.get_mut(key))) {
+        if let Some(Value::Integer(n)) = table.get_mut(section).and_then(|s| s.get_mut(key)) {
             *n *= times as i64;
         }
     }
@@ -326,4 +354,31 @@ fn denser(data: &Dataset, times: usize) -> Dataset {
         }
     }
     more
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gs_synth::SynthOptions;
+
+    #[test]
+    fn a_hull_is_carved_once_for_all_stages() {
+        let dir = tempfile::tempdir().expect("folder");
+        let root = dir.path().join("data");
+        gs_synth::write(&root, "balls", &SynthOptions::of_views(32, 24, 2), false).expect("scene");
+        let data = Dataset::open(&root, &Default::default()).expect("data");
+        assert!(data.points.is_none() && data.has_alpha);
+        let registry = gs_methods::registry().clone();
+        let (method, preset, sets) = ("fourdgs".into(), "tiny".into(), Vec::new());
+        let options = CostOptions { registry, method, preset, sets, limit_mib: None };
+        let resolved = resolved(&data, &options).expect("settings");
+        let (trial, whole) = Trial::new(Arc::new(data), &resolved, 1).expect("a run");
+        // Carving would read the images.
+        std::fs::remove_dir_all(root.join("train")).expect("removed");
+        let of_stage = trial.trainer("coarse").expect("a run of one stage");
+        assert_eq!(
+            (of_stage.scene(), of_stage.steps()),
+            (whole.scene(), whole.model().schedule().stages["coarse"].steps)
+        );
+    }
 }

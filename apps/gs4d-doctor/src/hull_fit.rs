@@ -253,16 +253,15 @@ impl<'a> HullFit<'a> {
 
     /// Turns views of the data by an angle, one at a time, and counts those that would be flagged.
     pub(super) fn turns_found(&self, degrees: f64) -> Found {
-        let n = self.shapes.len();
-        let count = n.min(TRIED_VIEWS);
+        let tried: Vec<usize> = gs_data::evenly(self.shapes.len(), TRIED_VIEWS).collect();
         let found = |k: usize| {
-            let i = k * n / count;
+            let i = tried[k];
             let camera = turned_by(self.cameras[i], degrees.to_radians(), 2.4 * k as f64);
             let shape = &self.shapes[i];
             let gain = shape.best_shift(&shape.grid_of(&self.carved.render(&camera))).0;
             gain > MARGIN * self.shift_limit().over(&self.sorted(i, |k| self.shifts[k].0))
         };
-        Found { found: (0..count).into_par_iter().filter(|k| found(*k)).count(), tried: count }
+        Found { found: (0..tried.len()).into_par_iter().filter(|k| found(*k)).count(), tried: tried.len() }
     }
 
     /// Values of all views but one, descending.
@@ -275,9 +274,8 @@ impl<'a> HullFit<'a> {
     /// Turns images upside down and exchanges their colours, one at a time, and counts those that would be found foreign.
     pub(super) fn foreign_found(&self) -> Found {
         let n = self.shapes.len();
-        let count = n.min(TRIED_VIEWS);
-        let found = |k: usize| {
-            let i = k * n / count;
+        let tried: Vec<usize> = gs_data::evenly(n, TRIED_VIEWS).collect();
+        let found = |&i: &usize| {
             let limit = MARGIN * FOREIGN.over(&self.sorted(i, |k| self.inner[k]));
             let mut image = self.shapes[i].image.clone();
             image.data.as_chunks_mut::<4>().0.reverse();
@@ -285,7 +283,7 @@ impl<'a> HullFit<'a> {
             let other = self.carved.render(self.cameras[(i + n / 2) % n]);
             [self.carved.render(self.cameras[i]), other].iter().all(|r| inner_misfit(&image, r) > limit)
         };
-        Found { found: (0..count).into_par_iter().filter(|k| found(*k)).count(), tried: count }
+        Found { found: tried.par_iter().filter(|i| found(i)).count(), tried: tried.len() }
     }
 
     /// Exchanges poses of pairs, one pair at a time, and counts those that would be found.

@@ -56,6 +56,8 @@ struct CheckedImage {
 /// Statistics of the images that were read.
 pub(super) struct ImageChecks {
     seen: Vec<CheckedImage>,
+    /// The views whose image or mask cannot be read.
+    unreadable: BTreeSet<(Split, usize)>,
     /// Names of masks that cannot be read, and of those that are zero everywhere.
     masks: [Vec<String>; 2],
     masked: usize,
@@ -79,10 +81,14 @@ pub(super) fn check(
         CheckedImage { split, index, traits }
     };
     let seen: Vec<CheckedImage> = sample.views.par_iter().map(see).collect();
-    let masks = sample.views.par_iter().filter_map(|&(s, i)| mask(&data.views(s)[i], &images)).collect::<Vec<_>>();
-    let named = |empty: bool| masks.iter().filter(|m| m.1 == Some(empty)).map(|m| m.0.clone()).collect();
+    let mask_of = |&(s, i): &(Split, usize)| Some(((s, i), mask(&data.views(s)[i], &images)?));
+    let masks: Vec<_> = sample.views.par_iter().filter_map(mask_of).collect();
+    let named = |empty: bool| masks.iter().filter(|m| m.1.1 == Some(empty)).map(|m| m.1.0.clone()).collect();
+    let without_image = seen.iter().filter(|s| s.traits.is_err()).map(|s| (s.split, s.index));
+    let without_mask = masks.iter().filter(|m| m.1.1 == Some(false)).map(|m| m.0);
+    let unreadable = without_image.chain(without_mask).collect();
     let whole = seen.len() == sample.total;
-    ImageChecks { seen, masks: [named(false), named(true)], masked: masks.len(), whole, max_image_mib }
+    ImageChecks { masks: [named(false), named(true)], masked: masks.len(), seen, unreadable, whole, max_image_mib }
 }
 
 /// Name of a masked view, and whether its mask is zero everywhere (`Some(true)`), cannot be read (`Some(false)`) or is right
@@ -153,11 +159,14 @@ fn thumbnail(image: &ImageU8, grey: &[f64]) -> Vec<f32> {
 }
 
 impl ImageChecks {
-    /// The data set without training views whose image cannot be read.
+    /// The data set without the views whose image or mask cannot be read.
     pub(super) fn readable(&self, data: &Dataset) -> Dataset {
-        let bad = |i: usize| self.seen.iter().any(|s| s.split == Split::Train && s.index == i && s.traits.is_err());
-        let kept = data.train.iter().enumerate().filter(|(i, _)| !bad(*i)).map(|(_, v)| v.clone()).collect();
-        Dataset { train: kept, ..data.clone() }
+        let kept = |split: Split| -> Vec<View> {
+            let views = data.views(split).iter().enumerate();
+            views.filter(|(i, _)| !self.unreadable.contains(&(split, *i))).map(|(_, v)| v.clone()).collect()
+        };
+        let [train, val, test, extrapolate] = Split::ALL.map(kept);
+        Dataset { train, val, test, extrapolate, ..data.clone() }
     }
 
     /// The fingerprints of all readable images.

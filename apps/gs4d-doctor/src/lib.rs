@@ -239,11 +239,15 @@ pub fn examine_and_tell(dir: &Path, exam: &CheckOptions, tell: &mut dyn FnMut(&F
     let checked = images::check(&data, &sample, options.max_image_mib, &keep);
     checkup.add(checked.findings(&data), tell);
     checkup.add(clock::check(&data, &checked), tell);
-    let readable = checked.readable(&data);
+    let mut readable = checked.readable(&data);
     if readable.train.is_empty() {
         return checkup;
     }
-    let silhouettes = silhouettes::check(&readable, reduced.silhouettes.as_ref());
+    let (silhouettes, unreadable) = silhouettes::of_readable(&mut readable, reduced.silhouettes.as_ref());
+    checkup.add(unreadable, tell);
+    if readable.train.is_empty() {
+        return checkup;
+    }
     let (findings, mut figures) = poses::check(&readable, &reduced.small, silhouettes.as_ref());
     // Points and box mean nothing under poses of another convention.
     let sound = !findings.iter().any(|f| f.code == "poses.convention");

@@ -92,8 +92,7 @@ impl<'a> Matches<'a> {
 
     /// Matches of a view with views all around, wherever the poses put it.
     pub(super) fn with_all(&self, view: usize) -> Vec<(usize, Vec<[DVec2; 2]>)> {
-        let count = self.views.len().min(MAX_PARTNERS);
-        let others = (0..count).map(|k| k * self.views.len() / count).filter(|j| *j != view);
+        let others = gs_data::evenly(self.views.len(), MAX_PARTNERS).filter(|j| *j != view);
         others.map(|j| (j, self.between([view, j]).points)).collect()
     }
 }

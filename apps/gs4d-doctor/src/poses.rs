@@ -39,8 +39,6 @@ const FOCAL_DEVIATIONS: f64 = 6.0;
 const SURE: f64 = 0.9;
 /// Turns that are tried, degrees.
 const TURNS: [f64; 3] = [3.0, 5.0, 10.0];
-/// Most views flagged one by one; of more, the whole is in doubt.
-const MAX_FLAGGED: f64 = 0.25;
 /// Most flagged views that are shown.
 const MAX_SHOWN: usize = 6;
 
@@ -134,19 +132,19 @@ impl Singles<'_, '_, '_> {
                 }
             }
         }
-        let (mut elsewhere, asked) = self.corners.wrong();
+        let mut wrong = self.corners.wrong();
         // Corners of what moves agree with another pose, too, but such a view fits the hull.
-        elsewhere.retain(|e| self.doubted_by_hull(self.views.0[e.view]));
-        let many = elsewhere.len() > 3 && elsewhere.len() as f64 > MAX_FLAGGED * self.views.0.len() as f64;
-        if many {
+        wrong.elsewhere.retain(|e| self.doubted_by_hull(self.views.0[e.view]));
+        if wrong.doubts_all(self.views.0.len()) {
             let what = format!(
-                "the corners of {} of {asked} views agree with other poses than their own: the poses are not those of these images",
-                elsewhere.len()
+                "the corners of {} of {} views agree with other poses than their own: the poses are not those of these images",
+                wrong.elsewhere.len(),
+                wrong.examined
             );
             let fix = "check that images and poses are in the same order, or reconstruct the poses again";
             return (out, Some(Finding::new("poses", "poses.disagree", Verdict::Problem, what).fix(fix)));
         }
-        for Elsewhere { view, shares: [own, other], degrees } in elsewhere {
+        for Elsewhere { view, shares: [own, other], degrees } in wrong.elsewhere {
             let why = format!(
                 "{:.0} % of its corners agree with its pose, {:.0} % with one turned by {degrees:.0} degrees",
                 100.0 * own,

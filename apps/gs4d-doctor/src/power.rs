@@ -142,7 +142,7 @@ fn misread(fault: Fault, c: &Camera) -> Camera {
 fn examined(data: &Dataset) -> Vec<Finding> {
     let largest = data.train.iter().map(|v| v.camera.width.max(v.camera.height)).max().unwrap_or(1);
     let images = ImageCache::new(256 << 20, (480.0 / f64::from(largest)).min(1.0));
-    poses::check(data, &images, silhouettes::check(data, None).as_ref()).0
+    poses::check(data, &images, silhouettes::check(data, None).expect("images").as_ref()).0
 }
 
 /// Whether findings say that a fault would be found.

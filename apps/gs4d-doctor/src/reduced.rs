@@ -70,7 +70,7 @@ mod tests {
         images::check(&data, &Sample::of(&data, false), None, &keep);
         let (small, carving) = (&reduced.small, reduced.silhouettes.as_ref().expect("alpha"));
         assert!(small.scale() < 1.0 && carving.scale() < small.scale() && carving.bytes() > 0);
-        let carved = silhouettes::check(&data, Some(carving)).expect("a hull");
+        let carved = silhouettes::check(&data, Some(carving)).expect("images").expect("a hull");
         poses::check(&data, small, Some(&carved));
         let found = start::check(&data, Some(&carved));
         assert!(found[0].what.contains("visual hull"), "{found:?}");

@@ -2,12 +2,13 @@
 //! hull is empty or in the wrong place.
 
 use super::pose_readings::PoseReading;
-use super::{Finding, Verdict, median};
+use super::{Finding, MAX_PLACES, Verdict, median};
 use glam::{DMat3, DQuat, DVec3};
 use gs_core::Camera;
 use gs_data::hull::{Carved, Silhouette, carve};
-use gs_data::{Dataset, ImageCache, Split};
+use gs_data::{DataError, Dataset, ImageCache, ImageSource, Split, View};
 use rayon::prelude::*;
+use std::path::Path;
 
 /// Share of the views that must agree on a hull cell: lower than for initial points, so that a few wrong views do not empty
 /// the hull but show up as outliers.
@@ -32,22 +33,64 @@ pub(super) struct Silhouettes {
     better: Option<(PoseReading, f64)>,
 }
 
-/// Carves the training views; none where they have neither alpha nor masks. `images` may hold reduced images.
-pub(super) fn check(data: &Dataset, images: Option<&ImageCache>) -> Option<Silhouettes> {
-    let carved = carve(data, AGREEMENT, images).ok().flatten()?;
+/// As [`check`], without the views whose image or mask cannot be read: they go from `data`, and a finding names them. Where
+/// a sample of the images was read, these are others. Of more than [`MAX_PLACES`] there are no silhouettes.
+pub(super) fn of_readable(data: &mut Dataset, images: Option<&ImageCache>) -> (Option<Silhouettes>, Option<Finding>) {
+    let mut faults: Vec<DataError> = Vec::new();
+    let (found, outcome) = loop {
+        match check(data, images) {
+            Ok(found) => break (found, "their views are left out"),
+            Err(e) => {
+                let goes_on = faults.len() < MAX_PLACES && leave_out(data, &e);
+                faults.push(e);
+                if !goes_on {
+                    break (None, "no silhouettes are compared");
+                }
+            }
+        }
+    };
+    let finding = faults.first().map(|first| {
+        let what = format!("images or masks that cannot be used: {}; {outcome}", faults.len());
+        let places = faults.iter().map(ToString::to_string);
+        Finding::new("images", first.code(), Verdict::Problem, what).at(places).fix(first.fix())
+    });
+    (found, finding)
+}
+
+/// Removes the views that have the image or the mask that an error is of; whether there are any.
+fn leave_out(data: &mut Dataset, e: &DataError) -> bool {
+    let Some(place) = e.place() else { return false };
+    let is_of = |v: &View, source: &ImageSource| match source {
+        ImageSource::File(file) => *file == place.file,
+        ImageSource::Memory(_) => Path::new(&v.name) == place.file,
+    };
+    let count = |data: &Dataset| data.train.len() + data.val.len() + data.test.len();
+    let before = count(data);
+    for views in [&mut data.train, &mut data.val, &mut data.test] {
+        views.retain(|v| !is_of(v, &v.image) && !v.mask.as_ref().is_some_and(|mask| is_of(v, mask)));
+    }
+    count(data) < before
+}
+
+/// Carves the training views, and adds those held out; none where there are neither alpha nor masks. `images` may hold reduced images.
+///
+/// # Errors
+/// Those of decoding an image or a mask.
+pub(super) fn check(data: &Dataset, images: Option<&ImageCache>) -> Result<Option<Silhouettes>, DataError> {
+    let Some(carved) = carve(data, AGREEMENT, images)? else { return Ok(None) };
     // Masks of what must not count, or alpha that is 1, are no outlines of an object.
     let filled = |s: &Silhouette| {
         let inside = s.inside();
         inside.iter().filter(|i| **i).count() as f64 / inside.len().max(1) as f64
     };
     if median(&carved.silhouettes.par_iter().map(filled).collect::<Vec<_>>()) > MOST_FILLED {
-        return None;
+        return Ok(None);
     }
     let mut shapes: Vec<(Split, Silhouette)> = carved.silhouettes.iter().map(|s| (Split::Train, s.clone())).collect();
     for split in [Split::Val, Split::Test] {
         let views = data.views(split);
         if views.iter().any(|v| data.has_alpha || v.mask.is_some()) {
-            shapes.extend(carved.silhouettes_of(views, images).unwrap_or_default().into_iter().map(|s| (split, s)));
+            shapes.extend(carved.silhouettes_of(views, images)?.into_iter().map(|s| (split, s)));
         }
     }
     let fits = covered(&carved);
@@ -61,7 +104,7 @@ pub(super) fn check(data: &Dataset, images: Option<&ImageCache>) -> Option<Silho
         }
     }
     let better = better.filter(|b| b.1 > now + MIN_READING_GAIN);
-    Some(Silhouettes { carved, shapes, fits, better })
+    Ok(Some(Silhouettes { carved, shapes, fits, better }))
 }
 
 /// The mean covered share of the silhouettes if the poses were read in another way.
@@ -120,4 +163,35 @@ pub(super) fn turn(c: &Camera, vector: DVec3) -> Camera {
 
 fn mean(shares: &[f64]) -> f64 {
     shares.iter().sum::<f64>() / shares.len().max(1) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gs_data::ImageU8;
+    use gs_synth::{SynthOptions, generate};
+    use std::sync::Arc;
+
+    /// As of a data set of which a sample was read.
+    #[test]
+    fn views_that_cannot_be_read_are_named_and_the_others_compared() {
+        let mut data = generate("static", &SynthOptions::of_views(40, 20, 4)).expect("scene").dataset;
+        let (train, test) = (data.train.len(), data.test.len());
+        let wrong = Arc::new(ImageU8 { width: 2, height: 1, data: vec![0; 8] });
+        let spoil = |v: &mut View, name: &str| {
+            (v.name, v.image) = (name.to_owned(), ImageSource::Memory(wrong.clone()));
+        };
+        spoil(&mut data.train[3], "bad training view");
+        spoil(&mut data.test[1], "bad test view");
+        let (found, finding) = of_readable(&mut data, None);
+        let (found, finding) = (found.expect("a hull"), finding.expect("a finding"));
+        assert_eq!((finding.code, finding.verdict), ("data.image_size", Verdict::Problem));
+        let names = ["bad training view", "bad test view"];
+        assert!(finding.places.len() == 2 && names.iter().zip(&finding.places).all(|(n, p)| p.starts_with(*n)));
+        assert_eq!((data.train.len(), data.test.len()), (train - 1, test - 1));
+        let of = |split: Split| found.shapes.iter().filter(|s| s.0 == split).count();
+        assert_eq!((of(Split::Train), of(Split::Test)), (train - 1, test - 1));
+        let (again, none) = of_readable(&mut data, None);
+        assert!(again.is_some() && none.is_none());
+    }
 }

@@ -84,8 +84,7 @@ impl<'a> Baker<'a> {
     /// Bakes over up to 24 of the cameras of `views`, evenly spaced, with SH up to `degree` (at most 3); none: all that there are, and of
     /// colours that depend on the camera in another way degree 2.
     pub fn new(method: &'a Model, views: &[View], degree: Option<u8>) -> Self {
-        let kept = views.len().clamp(1, MAX_CAMERAS);
-        let cameras = (0..kept).filter_map(|k| views.get(k * views.len() / kept)).map(|v| v.camera.clone()).collect();
+        let cameras = gs_data::evenly(views.len(), MAX_CAMERAS).map(|k| views[k].camera.clone()).collect();
         let mut poses: Vec<Camera> = Vec::new();
         for view in views {
             // Cameras at rest come again with every moment.

@@ -238,13 +238,15 @@ fn protocol(task: &FolderTask, clear: bool, by_order: bool) -> String {
     let quantised = match task.quantise {
         Quantise::None => "values as stored",
         Quantise::Round => "rounded to 8 bit",
-        Quantise::Truncate => "images truncated and truths rounded to 8 bit",
+        Quantise::Truncate => "images truncated and ground-truth images rounded to 8 bit",
     };
     let half = if task.half { ", reduced to half size by means of areas of 2x2 pixels" } else { "" };
     let mut parts =
         vec![format!("data range 1, {quantised}{half}; SSIM 11x11 with zero padding; perceptual_proxy is not LPIPS")];
     if by_order {
-        parts.push("images and truths have no name in common: paired in the order of their numbers".to_owned());
+        parts.push(
+            "images and ground-truth images have no name in common: paired in the order of their numbers".to_owned(),
+        );
     }
     if clear {
         let [r, g, b] = task.background;

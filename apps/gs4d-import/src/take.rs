@@ -159,7 +159,8 @@ impl Job<'_> {
     fn extract(&mut self, files: &[PathBuf], masks: &[PathBuf]) -> Result<(), ImportError> {
         let Some(cut) = self.state.cut.clone() else { return Ok(()) };
         let Settings { scale, longest, .. } = *self.settings();
-        for (camera, file) in files.iter().enumerate().skip(self.state.frames.len()) {
+        let done = self.state.frames.len();
+        for (camera, file) in files.iter().enumerate().skip(done) {
             let size = scaled(self.state.videos[camera].size, scale, longest);
             let mut taken = Vec::new();
             for (path, is_mask) in [(Some(file), false), (masks.get(camera), true)] {
@@ -178,14 +179,16 @@ impl Job<'_> {
             self.state.frames.push(taken.into_iter().min().unwrap_or(0));
             self.save()?;
         }
-        self.check_counts()
+        self.check_counts(done)
     }
 
-    /// Fails where a camera has too few frames to learn a motion from; says where a rig's cameras have not equally many.
-    fn check_counts(&mut self) -> Result<(), ImportError> {
+    /// Fails where a camera has too few frames to learn a motion from. Says where a rig's cameras have not equally many, unless the
+    /// frames of all cameras were there before this call; those of `done` cameras were.
+    fn check_counts(&mut self, done: usize) -> Result<(), ImportError> {
         let counts = self.state.frames.iter().copied();
         if let (Some(Rig::Fixed), Some(least), Some(most)) = (self.state.rig, counts.clone().min(), counts.max())
             && least < most
+            && done < self.state.frames.len()
         {
             self.say(format!(
                 "warning: the cameras have {least} to {most} frames: those of one number are of one moment, and from number {least} on they are left out"
@@ -227,7 +230,7 @@ impl Job<'_> {
             self.state.frames.push(files.len());
             self.save()?;
         }
-        self.check_counts()
+        self.check_counts(done)
     }
 
     /// Finds out what the cameras of images do.
@@ -269,13 +272,21 @@ mod tests {
 
     /// Copies images as an import does.
     fn copied(data: &Path, pictures: &Path, settings: &Settings) -> Result<State, ImportError> {
+        copied_and_told(data, pictures, settings, &mut |_| {})
+    }
+
+    fn copied_and_told(
+        data: &Path,
+        pictures: &Path,
+        settings: &Settings,
+        tell: &mut dyn FnMut(Event<'_>),
+    ) -> Result<State, ImportError> {
         let (stop, log) = (AtomicBool::new(false), pictures.join("log"));
         let runner = Runner { stop: &stop, log };
         let source = Source::Images(pictures.to_path_buf());
         let sources = crate::sources(&source)?;
         check(&sources, settings)?;
         let (work, state) = (data.join(WORK), State::begin(data, &source, settings, false)?);
-        let tell: &mut dyn FnMut(Event<'_>) = &mut |_| {};
         let mut job = Job { data, work, state, runner: &runner, sources, threads: None, tell };
         job.images(pictures)?;
         Ok(job.state)
@@ -306,6 +317,21 @@ mod tests {
         fs::remove_file(&mine).unwrap();
         begin().unwrap();
         assert!(!data.join("images").exists());
+    }
+
+    #[test]
+    fn that_cameras_have_unequally_many_frames_is_said_once() {
+        let dir = tempfile::tempdir().unwrap();
+        let (pictures, data) = (dir.path().join("pictures"), dir.path().join("data"));
+        save(&pictures, &["a/1.png", "a/2.png", "b/1.png", "b/2.png", "b/3.png"].map(|name| (name, 8)));
+        let mut warnings = 0;
+        for _ in 0..3 {
+            let mut count = |event: Event<'_>| {
+                warnings += usize::from(matches!(event, Event::Say(text) if text.contains("2 to 3 frames")));
+            };
+            copied_and_told(&data, &pictures, &Settings::default(), &mut count).unwrap();
+        }
+        assert_eq!(warnings, 1);
     }
 
     #[test]

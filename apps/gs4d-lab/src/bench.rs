@@ -23,18 +23,20 @@ pub use stages::{STAGES, Stage, StageOptions, StageTimes, stage_times};
 use crate::people::LabError;
 use gs_core::Params;
 use gs_core::nn::gemm::roof;
-use gs_core::speed::{BenchRow, median_seconds};
+use gs_core::speed::{BenchRow, Stopwatch, median_seconds};
 use gs_raster::SimdLevel;
 use gs_raster::measure::Roofline;
 use gs_train::adam::{Adam, Refused};
 use gs_train::registry::{MethodEntry, overlay};
 use serde::Serialize;
-use std::time::Instant;
 
 /// Where PyTorch's times are from.
 pub const PYTORCH: &str = "PyTorch's times are of November 2026, on two threads of two cores of a Sapphire-Rapids-class Xeon \
 with AVX-512 that ran other jobs, too: version 2.15 (MKL, oneDNN), the U-Net the least of 94 to 203 ms; 10 000 splats by gsplat's \
 torch code, in a scene of the same statistics. They compare with the times above on such a machine only";
+
+/// Timed rounds of the longer measurements.
+const ROUNDS: usize = 9;
 
 /// Kind of error of layers and networks.
 const OUTPUT_ERROR: &str = "relative L2 of outputs, f64";
@@ -142,15 +144,24 @@ impl Case {
     }
 }
 
-/// Least milliseconds of `calls` calls, after one that is not timed.
-fn least_ms(calls: usize, mut work: impl FnMut()) -> f64 {
-    work();
-    let seconds = (0..calls).map(|_| {
-        let start = Instant::now();
-        work();
-        start.elapsed().as_secs_f64()
-    });
-    1e3 * seconds.fold(f64::INFINITY, f64::min)
+/// Median milliseconds of `N` calls that take turns in [`ROUNDS`] rounds, after one round that does not count: what slows the machine for
+/// a while slows all of them. `call` gets the number of a call and the stopwatch that it is to be timed with.
+fn in_turns<const N: usize>(mut call: impl FnMut(usize, &mut Stopwatch)) -> [f64; N] {
+    let mut watches: [Stopwatch; N] = std::array::from_fn(|_| Stopwatch::default());
+    (0..N).for_each(|k| call(k, &mut Stopwatch::default()));
+    for _ in 0..ROUNDS {
+        watches.iter_mut().enumerate().for_each(|(k, watch)| call(k, watch));
+    }
+    watches.map(|watch| watch.median_ms().unwrap_or(f64::NAN))
+}
+
+/// Largest, mean and mean squared difference of the colours of two pictures of one size.
+fn differences(a: &[f32], b: &[f32]) -> [f64; 3] {
+    let off = a.iter().zip(b).map(|(a, b)| (f64::from(*a) - f64::from(*b)).abs());
+    let (largest, sum, squares) =
+        off.fold((0.0f64, 0.0, 0.0), |(largest, sum, squares), d| (largest.max(d), sum + d, squares + d * d));
+    let n = a.len().max(1) as f64;
+    [largest, sum / n, squares / n]
 }
 
 /// A preset of a method with TOML laid over it.
@@ -173,6 +184,7 @@ fn relative_l2(got: impl Iterator<Item = f64>, want: impl Iterator<Item = f64>) 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::time::Duration;
 
     #[test]
     fn relative_differences() {
@@ -180,6 +192,22 @@ mod tests {
         assert_eq!(l2(&[3.0, 4.0], &[3.0, 4.0]), 0.0);
         assert!((l2(&[3.0, 5.0], &[3.0, 4.0]) - 0.2).abs() < 1e-15);
         assert_eq!(l2(&[0.0], &[0.0]), 0.0);
+    }
+
+    #[test]
+    fn calls_take_turns_and_the_first_round_does_not_count() {
+        let (mut order, mut spent) = (Vec::new(), [Vec::new(), Vec::new()]);
+        let ms: [f64; 2] = in_turns(|k, watch| {
+            order.push(k);
+            // Long in five rounds of ten: with the first one the median would be a long one.
+            let rest = Duration::from_millis(if order.len() <= 10 { 2 } else { 0 });
+            spent[k].push(1e3 * watch.run(1, || std::thread::sleep(rest)).as_secs_f64());
+        });
+        assert_eq!(order, [0, 1].repeat(1 + ROUNDS));
+        for (ms, spent) in ms.iter().zip(&mut spent) {
+            spent[1..].sort_by(f64::total_cmp);
+            assert_eq!(*ms, spent[1 + ROUNDS / 2]);
+        }
     }
 
     #[test]

@@ -25,10 +25,10 @@ pub struct Layer {
     pub colors: Vec<[u8; 3]>,
 }
 
-/// How a clip is drawn; as in `gs_raster::RasterOptions`.
+/// How a clip is rendered; as in `gs_raster::RasterOptions`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Drawing {
-    /// Splats whose centre is no deeper in front of the camera are not drawn, world units.
+pub struct RenderSettings {
+    /// Splats whose centre is no deeper in front of the camera are not rendered, world units.
     pub near: f64,
     /// Added to the variances of projected splats, pixels².
     pub dilation: f64,
@@ -36,7 +36,7 @@ pub struct Drawing {
     pub antialias: bool,
 }
 
-impl Default for Drawing {
+impl Default for RenderSettings {
     /// 3D Gaussian Splatting's, but for gsplat's near plane.
     fn default() -> Self {
         Self { near: 0.01, dilation: 0.3, antialias: false }
@@ -53,7 +53,7 @@ pub struct Clip {
     harmonics: Option<(u8, Vec<i8>)>,
     knots: Option<Knots>,
     layers: Vec<Layer>,
-    drawing: Drawing,
+    render_settings: RenderSettings,
 }
 
 /// Knot and value of the kernel of each splat, see [`crate::words`].
@@ -70,8 +70,9 @@ enum Kind {
     Acutance,
 }
 
-/// The part of a clip that is text.
+/// The part of a clip that is text. A page with a key that is not here is refused: it would be rendered in another way than its own.
 #[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct Head {
     version: u32,
     count: usize,
@@ -80,7 +81,7 @@ struct Head {
     kernel: Option<Kind>,
     layers: Vec<(String, String)>,
     #[serde(default)]
-    drawing: Drawing,
+    render_settings: RenderSettings,
 }
 
 const VERSION: u32 = 1;
@@ -121,18 +122,18 @@ impl Clip {
         };
         let of = |i| middle.kernel.bend(i).map_or([128; 2], knot);
         let knots = kind.map(|kind| Knots { kind, of: (0..count).map(of).collect() });
-        let (layers, drawing) = (Vec::new(), Drawing::default());
-        Self { times: frames.times.clone(), tracks, harmonics, knots, layers, drawing }
+        let (layers, render_settings) = (Vec::new(), RenderSettings::default());
+        Self { times: frames.times.clone(), tracks, harmonics, knots, layers, render_settings }
     }
 
-    /// The same, drawn in another way than by default.
-    pub fn drawn(self, drawing: Drawing) -> Self {
-        Self { drawing, ..self }
+    /// The same, rendered in another way than by default.
+    pub fn with_render_settings(self, render_settings: RenderSettings) -> Self {
+        Self { render_settings, ..self }
     }
 
-    /// How the page draws it.
-    pub fn drawing(&self) -> Drawing {
-        self.drawing
+    /// How the page renders it.
+    pub fn render_settings(&self) -> RenderSettings {
+        self.render_settings
     }
 
     /// The same with layers, each with a colour for every splat; others are left out.
@@ -224,7 +225,7 @@ impl Clip {
             degree: self.harmonics.as_ref().map(|h| h.0),
             kernel: self.knots.as_ref().map(|k| k.kind),
             layers: self.layers.iter().map(|l| (l.name.clone(), l.meaning.clone())).collect(),
-            drawing: self.drawing,
+            render_settings: self.render_settings,
         };
         let text = serde_json::to_vec(&head)?;
         let mut out = Writer::default();
@@ -272,7 +273,9 @@ impl Clip {
             layers.push(Layer { name, meaning, colors: unplaned(&mut from, count, 3)?.as_chunks().0.to_vec() });
         }
         match from.0 {
-            [] => Ok(Self { times: head.times, tracks, harmonics, knots, layers, drawing: head.drawing }),
+            [] => {
+                Ok(Self { times: head.times, tracks, harmonics, knots, layers, render_settings: head.render_settings })
+            }
             rest => Err(format!("{} bytes too many", rest.len())),
         }
     }
@@ -345,4 +348,31 @@ fn planes(out: &mut Writer, rows: impl Iterator<Item = u8>, width: usize) {
 fn unplaned(from: &mut Reader<'_>, count: usize, width: usize) -> Result<Vec<u8>, String> {
     let planes = from.bytes(count.saturating_mul(width))?;
     Ok((0..count * width).map(|k| planes[(k % width) * count + k / width]).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Settings under a name that is not known would be read as the default.
+    #[test]
+    fn unknown_keys_of_the_head_are_refused() {
+        let splats = Splats {
+            means: vec![Vec3::Z],
+            quats: vec![[1.0, 0.0, 0.0, 0.0]],
+            scales: vec![Vec3::splat(0.1)],
+            opacities: vec![0.9],
+            color: Color::Rgb(vec![[1.0, 0.0, 0.0]]),
+            kernel: Kernel::Gaussian,
+        };
+        let frames = Frames::new(vec![0.0], vec![splats]).unwrap();
+        let settings = RenderSettings { near: 0.2, dilation: 0.1, antialias: true };
+        let clip = Clip::fit(&frames, &[], Tolerance::default()).with_render_settings(settings);
+        let mut bytes = clip.bytes().unwrap();
+        assert_eq!(Clip::parse(&bytes), Ok(clip));
+        let key = b"render_settings";
+        let at = bytes.windows(key.len()).position(|w| w == key).unwrap();
+        bytes[at] = b'R';
+        assert!(Clip::parse(&bytes).unwrap_err().contains("unknown field `Render_settings`"));
+    }
 }

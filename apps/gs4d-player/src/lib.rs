@@ -44,8 +44,8 @@
 //! a turn from one to the other. What a scene does beside that line is not looked at. Without a camera that a splat is in front of, a pixel is
 //! as large as for the other splats. What all this costs in PSNR is measured by rendering [`Clip::splats`] of the file as it was read back.
 //!
-//! # How it is drawn
-//! As [`Clip::drawing`] says: near plane, dilation, and whether opacities make up for it. Files `.4dgs` have no place for this.
+//! # How it is rendered
+//! As [`Clip::render_settings`] says: near plane, dilation, and whether opacities make up for it. Files `.4dgs` have no place for this.
 //!
 //! # What it leaves out
 //! Harmonics that change with time are averaged over it; colours are clamped to 0..1 where they have no harmonics; the page needs
@@ -62,7 +62,7 @@ mod stream;
 mod track;
 pub mod words;
 
-pub use clip::{Clip, Drawing, Layer};
+pub use clip::{Clip, Layer, RenderSettings};
 pub use frames::{Frames, Tolerance};
 pub use page::{Page, SORT_JS, SPLATS_JS, Start, VECTORS_JS, read};
 pub use spans::Spans;

@@ -5,7 +5,7 @@ use glam::{Quat, Vec3};
 use gs_core::rng::Rng;
 use gs_core::{Camera, Color, Kernel, Splats, rot};
 use gs_raster::{RasterOptions, Workspace, measure, render};
-use gs4d_player::{Clip, Drawing, Frames, Layer, Page, PlayerError, Spans, Start, Tolerance, read, words};
+use gs4d_player::{Clip, Frames, Layer, Page, PlayerError, RenderSettings, Spans, Start, Tolerance, read, words};
 use half::f16;
 use std::fs;
 use std::path::Path;
@@ -298,8 +298,8 @@ fn pages_give_their_clip_back_and_fetch_nothing() {
         let layer = Layer { name: "speed".into(), meaning: "red: fast".into(), colors: vec![[1, 2, 3]; 300] };
         let short = Layer { colors: vec![[0; 3]; 7], ..layer.clone() };
         let clip = clip.with_layers(vec![layer, short]);
-        let drawing = Drawing { near: 0.2, dilation: 0.1, antialias: kernel };
-        let clip = if kernel { clip.drawn(drawing) } else { clip };
+        let settings = RenderSettings { near: 0.2, dilation: 0.1, antialias: kernel };
+        let clip = if kernel { clip.with_render_settings(settings) } else { clip };
         let page = Page {
             title: "a <b> {clip}".into(),
             start: Start::default(),
@@ -308,7 +308,7 @@ fn pages_give_their_clip_back_and_fetch_nothing() {
         };
         let html = page.html(&clip).unwrap();
         assert_eq!(read(&html).unwrap(), clip);
-        assert_eq!(read(&html).unwrap().drawing(), if kernel { drawing } else { Drawing::default() });
+        assert_eq!(read(&html).unwrap().render_settings(), if kernel { settings } else { RenderSettings::default() });
         assert!(html.contains("<title>a &lt;b&gt; {clip}</title>") && html.contains("default-src 'none'"));
         for outside in ["http://", "https://", "src=", "@import", "url("] {
             assert!(!html.contains(outside), "{outside}");

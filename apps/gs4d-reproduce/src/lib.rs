@@ -38,5 +38,5 @@ pub use network::Network;
 pub use nightly::Nightly;
 pub use outcome::{EntryOutcome, NotRun, Order, Outcome, PublishedMean, SceneOutcome, Value, Verdict};
 pub use reproduction::{Chosen, Conditions, ReproduceError, Reproduction};
-pub use sets::{Absence, DataSet, Generated};
+pub use sets::{Absence, DataSet, Generated, GeneratedFilm, GeneratedScene};
 pub use table::{Scene, Table, TableEntry, TableError};

@@ -1,7 +1,7 @@
 //! The nightly job: the papers' orders of methods on few generated scenes, five seeds each, small enough for a night.
 //!
 //! A table that has a [`Nightly`] says on which scenes, how long and with which settings. Lengths are in steps and stand in the table's file, so a job that was
-//! interrupted goes on with the same ones. [`markdown`] puts what was found on one page.
+//! interrupted goes on with the same ones. Rows that a paper puts within [`LEAST`] of the first are left out. [`markdown`] puts what was found on one page.
 
 use crate::outcome::{Order, Outcome, Verdict};
 use crate::page::{first_entry, unit};
@@ -12,6 +12,10 @@ use serde::Deserialize;
 
 /// The seeds of the job.
 pub const SEEDS: [u64; 5] = [0, 1, 2, 3, 4];
+
+/// A row whose published mean is closer to that of the first is left out, in units of the first column (dB in all tables of the job): the intervals of five
+/// pairs of one scene are seldom so narrow.
+pub const LEAST: f64 = 0.1;
 
 /// Title of the page.
 pub const TITLE: &str = "The papers' orders, on generated scenes";
@@ -29,8 +33,8 @@ pub struct Nightly {
     pub sets: Vec<String>,
 }
 
-/// The tables of the job, or the one of this full name, each in a folder of its own name below that of `conditions`. Its scenes and settings are those of its
-/// file; so are its steps, unless `conditions` names others, whose settings are applied last.
+/// The tables of the job, or the one of this full name, each in a folder of its own name below that of `conditions`, without the rows that are left out
+/// ([`LEAST`]). Its scenes and settings are those of its file; so are its steps, unless `conditions` names others, whose settings are applied last.
 ///
 /// # Errors
 /// As [`Reproduction::new`]; [`TableError::Unknown`] if the job has no such table.
@@ -42,8 +46,21 @@ pub fn reproductions(only: Option<&str>, conditions: &Conditions) -> Result<Vec<
         return Err(TableError::Unknown { name: name.to_owned(), known: known() }.into());
     }
     all.retain(|t| only.is_none_or(|name| t.full_name() == name));
-    let reproduction = |table: Table| Some(Reproduction::new(table.clone(), of_table(&table, conditions)?));
+    let reproduction = |table: Table| {
+        let conditions = of_table(&table, conditions)?;
+        Some(Reproduction::new(without_close_rows(table), conditions))
+    };
     all.into_iter().filter_map(reproduction).collect()
+}
+
+/// The table without the rows that the paper puts within [`LEAST`] of the first.
+fn without_close_rows(mut table: Table) -> Table {
+    let mean = |name: &str| table.published_average(name, 0);
+    let first = table.runnable().next().and_then(|e| mean(&e.name));
+    let is_close = |name: &str| first.zip(mean(name)).is_some_and(|(a, b)| (a - b).abs() < LEAST);
+    let close: Vec<String> = table.runnable().skip(1).map(|e| e.name.clone()).filter(|n| is_close(n)).collect();
+    table.entries.retain(|e| !close.contains(&e.name));
+    table
 }
 
 fn of_table(table: &Table, conditions: &Conditions) -> Option<Conditions> {
@@ -65,10 +82,11 @@ fn of_table(table: &Table, conditions: &Conditions) -> Option<Conditions> {
 pub fn markdown(outcomes: &[Outcome]) -> String {
     let head = "Differences of the first column of each table, pairs of the same scene and seed, ± half the 95 % interval of their mean by Student's t: over pairs, or over \
                 the means of scenes where there are three. An order holds where the interval lies on the published side of 0, does not hold where it lies on the \
-                other side, and is inconclusive where it holds 0 or there are fewer than three pairs. Generated scenes stand in for the papers' and have no masks: masked \
-                columns are of whole images.";
+                other side, and is inconclusive where it holds 0 or there are fewer than three pairs. Where no published figures are known, the side of 0 is said. Generated \
+                scenes stand in for the papers' and have no masks: masked columns are of whole images.";
+    let left_out = format!("Rows that a paper puts within {LEAST} of the first are left out.");
     let tables: String = outcomes.iter().map(of_outcome).collect();
-    format!("# {TITLE}\n\n{head}\n{tables}")
+    format!("# {TITLE}\n\n{head} {left_out}\n{tables}")
 }
 
 fn of_outcome(outcome: &Outcome) -> String {
@@ -89,41 +107,54 @@ fn scenes(outcome: &Outcome) -> String {
 }
 
 fn row(order: &Order, unit: &str) -> String {
-    let Order { other, published, ours, half_width, scenes, pairs, verdict } = order;
+    let Order { other, published, ours, half_width, scenes, pairs, .. } = order;
     let signed = |v: &Option<f64>| v.map_or("–".to_owned(), |v| format!("{v:+.2}{unit}"));
     let half = half_width.map_or(String::new(), |half| format!(" ±{half:.2}"));
     let over = if *scenes > 0 { format!(" on {scenes} scenes") } else { String::new() };
-    let verdict = match (published, verdict) {
-        (_, Some(Verdict::AsPublished)) => "holds",
-        (_, Some(Verdict::Opposite)) => "does not hold",
-        (_, Some(Verdict::NotShown)) => "inconclusive",
-        (None, None) => "not published",
-        (Some(_), None) => "not run",
-    };
-    format!("| {other} | {} | {}{half} | {pairs}{over} | {verdict} |\n", signed(published), signed(ours))
+    let [said, ..] = words(order);
+    format!("| {other} | {} | {}{half} | {pairs}{over} | {said} |\n", signed(published), signed(ours))
 }
 
-/// What the differences say of the paper's orders, in one sentence.
-pub fn sentence(outcome: &Outcome) -> String {
-    let published = || outcome.orders.iter().filter(|o| o.published.is_some());
-    let all = published().count();
-    if all == 0 {
-        return "The paper prints no figures that these differences could be held against.".to_owned();
+/// What a difference says: in the table, of one in a sentence, of several.
+type Words = [&'static str; 3];
+
+const HOLDS: Words = ["holds", "holds", "hold"];
+const FAILS: Words = ["does not hold", "does not hold", "do not hold"];
+const ABOVE: Words = ["above 0", "is above 0", "are above 0"];
+const BELOW: Words = ["below 0", "is below 0", "are below 0"];
+const OPEN: Words = ["inconclusive", "is inconclusive", "are inconclusive"];
+const NOT_RUN: Words = ["not run", "was not run", "were not run"];
+
+fn words(order: &Order) -> Words {
+    match (order.verdict, order.ours, order.side()) {
+        (Some(Verdict::AsPublished), ..) => HOLDS,
+        (Some(Verdict::Opposite), ..) => FAILS,
+        (Some(Verdict::NotShown), ..) | (None, Some(_), None) => OPEN,
+        (None, None, _) => NOT_RUN,
+        (None, Some(_), Some(side)) if side > 0.0 => ABOVE,
+        (None, Some(_), Some(_)) => BELOW,
     }
-    let part = |verdict: Option<Verdict>, [one, many]: [&str; 2]| {
-        let names: Vec<&str> = published().filter(|o| o.verdict == verdict).map(|o| o.other.as_str()).collect();
-        let words = if names.len() == 1 { one } else { many };
-        (!names.is_empty()).then(|| format!("{} {words} ({})", names.len(), names.join("; ")))
+}
+
+/// What the differences say of the paper's orders, in one sentence; of a table without published figures, on which side of 0 they are.
+pub fn sentence(outcome: &Outcome) -> String {
+    let is_published = |order: &Order| order.published.is_some();
+    let published = outcome.orders.iter().any(is_published);
+    let counted: Vec<&Order> = outcome.orders.iter().filter(|order| is_published(order) == published).collect();
+    let part = |kind: Words| {
+        let names: Vec<&str> = counted.iter().filter(|o| words(o) == kind).map(|o| o.other.as_str()).collect();
+        let [_, one, many] = kind;
+        let verb = if names.len() == 1 { one } else { many };
+        (!names.is_empty()).then(|| format!("{} {verb} ({})", names.len(), names.join("; ")))
     };
-    let parts = [
-        part(Some(Verdict::AsPublished), ["holds", "hold"]),
-        part(Some(Verdict::Opposite), ["does not hold", "do not hold"]),
-        part(Some(Verdict::NotShown), ["is inconclusive", "are inconclusive"]),
-        part(None, ["was not run", "were not run"]),
-    ];
-    let parts = parts.into_iter().flatten().collect::<Vec<_>>().join(", ");
-    let orders = if all == 1 { "order" } else { "orders" };
-    format!("Of {all} published {orders}, on {}, {parts}.", scenes(outcome))
+    let parts = [HOLDS, FAILS, ABOVE, BELOW, OPEN, NOT_RUN].into_iter().filter_map(part).collect::<Vec<_>>().join(", ");
+    let what = match (published, counted.len()) {
+        (true, 1) => "published order",
+        (true, _) => "published orders",
+        (false, 1) => "difference without published figures",
+        (false, _) => "differences without published figures",
+    };
+    format!("Of {} {what}, on {}, {parts}.", counted.len(), scenes(outcome))
 }
 
 /// The entries by the means of their differences, the best first.
@@ -138,9 +169,10 @@ fn ranking(outcome: &Outcome) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Beside;
     use crate::outcome::{EntryOutcome, SceneOutcome};
+    use crate::{Beside, Chosen, Generated, GeneratedFilm};
     use gs_synth::SynthOptions;
+    use gs_synth::avatar::AvatarOptions;
     use gs4d_lab::contest::{Contest, ContestError, Event, Results, run_all};
     use std::path::Path;
     use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -163,10 +195,11 @@ mod tests {
     #[test]
     fn every_table_of_the_job_can_be_planned() {
         let all = reproductions(None, &conditions(Path::new("out"))).unwrap();
-        let papers = ["fags", "modec", "trace"].map(|paper| all.iter().filter(|r| r.table.paper == paper).count());
-        assert_eq!(papers, [1, 3, 3]);
+        let papers = ["fags", "modec", "trace", "dut"];
+        let papers = papers.map(|paper| all.iter().filter(|r| r.table.paper == paper).count());
+        assert_eq!(papers, [1, 3, 3, 1]);
         for table in &all {
-            assert!(table.scenes.iter().all(crate::Chosen::is_generated), "{}", table.table.full_name());
+            assert!(table.scenes.iter().all(Chosen::is_generated), "{}", table.table.full_name());
             assert!(matches!(table.conditions.length, Length::Steps(_)));
             for contest in table.contests(gs_methods::registry()).unwrap() {
                 let plan = contest.plan().unwrap_or_else(|e| panic!("{}: {e}", table.table.full_name()));
@@ -180,6 +213,18 @@ mod tests {
         assert_eq!(one.conditions.root, Path::new("out/trace-ablation-object"));
         let error = reproductions(Some("dut-runtime"), &own).unwrap_err().to_string();
         assert!(error.contains("`dut-runtime`") && error.contains("trace-ablation-object"), "{error}");
+    }
+
+    #[test]
+    fn rows_that_a_paper_puts_too_close_are_left_out() {
+        let all = reproductions(None, &conditions(Path::new("out"))).unwrap();
+        let mut left_out = Vec::new();
+        for Reproduction { table, .. } in &all {
+            let whole = Table::find(&table.paper, &table.name).unwrap();
+            let entries = whole.entries.iter().map(|e| e.name.clone());
+            left_out.extend(entries.filter(|name| !table.entries.iter().any(|e| e.name == *name)));
+        }
+        assert_eq!(left_out, ["without FG", "H_L 128x128x128x150", "k = 20", "1 frame", "3 frames"]);
     }
 
     /// A table of the job with small scenes where generated ones belong.
@@ -216,10 +261,40 @@ mod tests {
         let dirs = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
         let [halted, whole] = dirs.each_ref().map(|dir| small(dir.path()));
         let expected = page(&whole, usize::MAX).unwrap();
-        assert!(expected.contains("Of 7 published orders, on waves-a, "), "{expected}");
+        assert!(expected.contains("Of 6 published orders, on waves-a, "), "{expected}");
         let stopped = page(&halted, 9);
         assert!(matches!(stopped, Err(ContestError::Interrupted(_))), "{stopped:?}");
         assert_eq!(page(&halted, usize::MAX).unwrap(), expected);
+    }
+
+    /// Two pairs show nothing, so the sentence is known before the training.
+    #[test]
+    fn stages_of_dut_are_trained_on_a_film() {
+        let root = tempfile::tempdir().unwrap();
+        let sides = ["textures.unproject=48", "textures.geo=32", "textures.gau=48"];
+        let own = Conditions {
+            seeds: vec![0, 1],
+            length: Length::Steps(3),
+            sets: sides.map(str::to_owned).into(),
+            ..conditions(root.path())
+        };
+        let stages = reproductions(Some("dut-stages"), &own).unwrap().remove(0);
+        let [Chosen::Generated(Generated::Film(GeneratedFilm { name, film }))] = &stages.scenes[..] else {
+            panic!("{:?}", stages.scenes);
+        };
+        let film = AvatarOptions { size: 64, per_ring: 4, frames: 4, points: 500, ..film.clone() };
+        Generated::Film(GeneratedFilm { name: name.clone(), film })
+            .write(&stages.conditions.root.join("data"))
+            .unwrap();
+        let page = page(&stages, usize::MAX).unwrap();
+        let rows: Vec<&str> = stages.table.runnable().skip(1).map(|e| e.name.as_str()).collect();
+        let said = format!(
+            "Of {} differences without published figures, on {name}, {} are inconclusive ({}).",
+            rows.len(),
+            rows.len(),
+            rows.join("; ")
+        );
+        assert!(page.contains(&said), "`{said}` is not in {page}");
     }
 
     #[test]
@@ -270,13 +345,17 @@ mod tests {
             "| full less | published | here | pairs | |",
             "| b | +0.50 dB | -0.50 dB ±0.25 | 5 | does not hold |",
             "| e | +0.50 dB | – | 5 | not run |",
-            "| f | – | +0.25 dB ±0.25 | 5 | not published |",
+            "| f | – | +0.25 dB ±0.25 | 5 | inconclusive |",
             "By their means: b > full > c > f > d > a.",
             said,
         ] {
             assert!(page.contains(part), "`{part}` is not in {page}");
         }
         outcome.orders.drain(..5);
-        assert!(sentence(&outcome).starts_with("The paper prints no figures"));
+        let one = "Of 1 difference without published figures, on waves-a, 1 is inconclusive (f).";
+        assert_eq!(sentence(&outcome), one);
+        outcome.orders.extend([order("g", None, Some(0.5), None), order("h", None, Some(-0.5), None)]);
+        let three = "Of 3 differences without published figures, on waves-a, 1 is above 0 (g), 1 is below 0 (h), 1 is inconclusive (f).";
+        assert_eq!(sentence(&outcome), three);
     }
 }

@@ -322,19 +322,21 @@ impl Order {
         });
         let ours = spread.map(|s| s.mean);
         let scenes = if means.len() > 2 { means.len() } else { 0 };
+        let mut order = Self { other, published, ours, half_width, scenes, pairs: pairs.len(), verdict: None };
         // Entries that were published as equal have no order.
-        let verdict =
-            published.filter(|p| *p != 0.0).and_then(|p| Some((p, ours?))).map(|(published, ours)| match half_width {
-                Some(half) if pairs.len() > 2 && ours.abs() > half => {
-                    if ours * published > 0.0 {
-                        Verdict::AsPublished
-                    } else {
-                        Verdict::Opposite
-                    }
-                }
-                _ => Verdict::NotShown,
-            });
-        Self { other, published, ours, half_width, scenes, pairs: pairs.len(), verdict }
+        let published = published.filter(|p| *p != 0.0 && ours.is_some());
+        order.verdict = published.map(|published| match order.side() {
+            Some(side) if side * published > 0.0 => Verdict::AsPublished,
+            Some(_) => Verdict::Opposite,
+            None => Verdict::NotShown,
+        });
+        order
+    }
+
+    /// The side of 0 that the interval lies on, 1 or −1; `None` where it holds 0, or there are fewer than three pairs.
+    pub(crate) fn side(&self) -> Option<f64> {
+        let (ours, half) = self.ours.zip(self.half_width)?;
+        (self.pairs > 2 && ours.abs() > half).then(|| ours.signum())
     }
 }
 
@@ -408,6 +410,11 @@ mod tests {
         assert_eq!(of(Some(0.8), &[0.5, 0.6]), Some(Verdict::NotShown), "two pairs");
         assert_eq!(of(None, &[0.5, 0.6, 0.7]), None);
         assert_eq!(of(Some(0.8), &[]), None);
+        assert_eq!(of(Some(0.0), &[0.5, 0.6, 0.7]), None, "published as equal");
+        let side = |pairs: &[f64]| Order::of("other".into(), None, &[pairs.to_vec()]).side();
+        assert_eq!(side(&[0.5, 0.6, 0.7]), Some(1.0));
+        assert_eq!(side(&[-0.5, -0.6, -0.7]), Some(-1.0));
+        assert_eq!((side(&[0.5, -0.6, 0.7]), side(&[0.5, 0.6]), side(&[])), (None, None, None));
     }
 
     #[test]

@@ -46,7 +46,7 @@ impl Chosen {
     pub fn name(&self) -> &str {
         match self {
             Self::Published(scene, _) => &scene.name,
-            Self::Generated(generated) => &generated.name,
+            Self::Generated(generated) => generated.name(),
         }
     }
 
@@ -182,7 +182,7 @@ impl Reproduction {
             Chosen::Published(s, folder) => (folder.clone(), of_table.chain(&s.sets).cloned().collect()),
             Chosen::Generated(generated) => {
                 let of_method = of_table.filter(|set| !set.starts_with("data."));
-                (root.join("data").join(&generated.name), of_method.cloned().collect())
+                (root.join("data").join(generated.name()), of_method.cloned().collect())
             }
         };
         let scale = scale.map(|s| format!("data.scale={s}"));

@@ -4,6 +4,7 @@ use crate::table::{Scene, TableError};
 use gs_core::io::disk;
 use gs_data::DataError;
 use gs_synth::SynthOptions;
+use gs_synth::avatar::{self, AvatarOptions};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -28,10 +29,20 @@ pub struct DataSet {
     pub generated: Vec<Generated>,
 }
 
+/// A generated scene, or a film of a person where a method needs one.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Generated {
+    /// A scene of [`gs_synth::SCENES`].
+    Scene(GeneratedScene),
+    /// A film of [`gs_synth::avatar`].
+    Film(GeneratedFilm),
+}
+
 /// A generated scene.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Generated {
+pub struct GeneratedScene {
     /// Name, and that of its folder.
     pub name: String,
     /// A scene of [`gs_synth::SCENES`].
@@ -46,6 +57,16 @@ pub struct Generated {
     /// Number of static cameras; 0: one moving camera.
     #[serde(default)]
     pub cameras: u32,
+}
+
+/// A generated film of a person.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GeneratedFilm {
+    /// Name, and that of its folder.
+    pub name: String,
+    /// Character, motion, cameras and images; what is not named is as [`AvatarOptions::default`] has it.
+    pub film: AvatarOptions,
 }
 
 fn side() -> u32 {
@@ -119,17 +140,28 @@ pub enum Absence {
 }
 
 impl Generated {
+    /// Name, and that of its folder.
+    pub fn name(&self) -> &str {
+        match self {
+            Self::Scene(scene) => &scene.name,
+            Self::Film(film) => &film.name,
+        }
+    }
+
     /// Its folder below `root`, written if it is not there: a folder that is there was written whole.
     ///
     /// # Errors
     /// If the scene cannot be made or written.
     pub fn write(&self, root: &Path) -> Result<PathBuf, DataError> {
-        let folder = root.join(&self.name);
+        let folder = root.join(self.name());
         if folder.is_dir() {
             return Ok(folder);
         }
-        let partial = root.join(format!(".{}.{}.partial", self.name, std::process::id()));
-        gs_synth::write(&partial, &self.scene, &self.options(), true)?;
+        let partial = root.join(format!(".{}.{}.partial", self.name(), std::process::id()));
+        match self {
+            Self::Scene(scene) => gs_synth::write(&partial, &scene.scene, &scene.options(), true).map(drop),
+            Self::Film(film) => avatar::write(&partial, &film.film, false, true).map(drop),
+        }?;
         match disk::rename(&partial, &folder) {
             // Another process wrote it meanwhile.
             Err(_) if folder.is_dir() => std::fs::remove_dir_all(&partial),
@@ -141,6 +173,15 @@ impl Generated {
 
     /// Whether a folder holds this scene, made with these options.
     pub fn is_in(&self, folder: &Path) -> bool {
+        match self {
+            Self::Scene(scene) => scene.is_in(folder),
+            Self::Film(film) => film.is_in(folder),
+        }
+    }
+}
+
+impl GeneratedScene {
+    fn is_in(&self, folder: &Path) -> bool {
         let made = gs_synth::truth(&self.scene, &self.options()).ok();
         let same = |(there, made): (gs_synth::Truth, gs_synth::Truth)| {
             there.scene() == made.scene() && there.options() == made.options()
@@ -155,10 +196,19 @@ impl Generated {
     }
 }
 
+impl GeneratedFilm {
+    fn is_in(&self, folder: &Path) -> bool {
+        let there = avatar::options_of(folder).ok().flatten();
+        // A folder states the layout of the atlas that was chosen for the template.
+        there.is_some_and(|there| there == AvatarOptions { atlas: there.atlas, ..self.film.clone() })
+    }
+}
+
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
     use crate::Table;
+    use gs_data::avatar::{BUILTIN, builtin};
     use std::collections::BTreeSet;
     use std::fs;
 
@@ -183,6 +233,7 @@ pub(crate) mod tests {
                 ("transforms_train.json", "transforms_{train,val,test}.json"),
                 ("transforms_test.json", "transforms_{train,val,test}.json"),
             ],
+            "people" => &[("scene.json", "scene.json"), ("cameras.json", "cameras.json")],
             other => panic!("no files of {other}"),
         }
     }
@@ -202,13 +253,26 @@ pub(crate) mod tests {
     #[test]
     fn every_set_has_three_generated_scenes_a_family_and_no_seed_serves_twice() {
         let all = DataSet::all().unwrap();
-        let (mut seeds, mut names) = (BTreeSet::new(), BTreeSet::new());
+        let (mut seeds, mut names, mut clips) = (BTreeSet::new(), BTreeSet::new(), BTreeSet::new());
         for (set, data) in &all {
             let mut families: BTreeMap<&str, usize> = BTreeMap::new();
-            for scene in &data.generated {
-                assert!(gs_synth::SCENES.iter().any(|s| s.name == scene.scene), "{set}: {}", scene.scene);
-                assert!(seeds.insert(scene.seed) && names.insert(&scene.name), "{set}: {}", scene.name);
-                *families.entry(&scene.scene).or_default() += 1;
+            for generated in &data.generated {
+                let name = generated.name();
+                let (family, seed) = match generated {
+                    Generated::Scene(scene) => {
+                        assert!(gs_synth::SCENES.iter().any(|s| s.name == scene.scene), "{set}: {name}");
+                        (&scene.scene, scene.seed)
+                    }
+                    Generated::Film(GeneratedFilm { film, .. }) => {
+                        let template = film.template.strip_prefix(BUILTIN).and_then(builtin).unwrap();
+                        let clip = film.clip.as_deref().unwrap();
+                        assert!(template.clip(clip).is_some(), "{set}: {name}");
+                        assert!(clips.insert((&film.template, clip)), "{set}: {name} has the motion of another film");
+                        (&film.template, film.seed)
+                    }
+                };
+                assert!(seeds.insert(seed) && names.insert(name), "{set}: {name}");
+                *families.entry(family).or_default() += 1;
             }
             assert!(!families.is_empty() && families.values().all(|n| *n >= 3), "{set}: {families:?}");
         }
@@ -258,18 +322,41 @@ pub(crate) mod tests {
         assert_eq!(set.folder(hook, &roots), Ok(root.path().join("hook")), "the next place counts");
     }
 
+    /// What a set has generated first, small.
+    fn small(set: &str) -> Generated {
+        match DataSet::find(set).unwrap().generated.remove(0) {
+            Generated::Scene(scene) => Generated::Scene(GeneratedScene { size: 8, ..scene }),
+            Generated::Film(GeneratedFilm { name, film }) => {
+                let film = AvatarOptions { size: 8, per_ring: 4, rings: 1, frames: 2, points: 10, ..film };
+                Generated::Film(GeneratedFilm { name, film })
+            }
+        }
+    }
+
+    /// The same with another scene or another motion.
+    fn other(generated: Generated) -> Generated {
+        match generated {
+            Generated::Scene(scene) => Generated::Scene(GeneratedScene { variant: scene.variant + 1, ..scene }),
+            Generated::Film(GeneratedFilm { name, film }) => {
+                let film = AvatarOptions { clip: Some("touch".into()), ..film };
+                Generated::Film(GeneratedFilm { name, film })
+            }
+        }
+    }
+
     #[test]
-    fn a_generated_scene_is_written_once() {
-        let root = tempfile::tempdir().unwrap();
-        let scene = Generated { size: 8, ..DataSet::find("dnerf").unwrap().generated.remove(0) };
-        let folder = scene.write(root.path()).unwrap();
-        let file = folder.join("transforms_train.json");
-        std::fs::write(&file, "mine").unwrap();
-        assert_eq!(scene.write(root.path()).unwrap(), folder);
-        assert_eq!(std::fs::read_to_string(&file).unwrap(), "mine");
-        assert_eq!(std::fs::read_dir(root.path()).unwrap().count(), 1);
-        assert!(scene.is_in(&folder));
-        let other = Generated { variant: scene.variant + 1, ..scene };
-        assert!(!other.is_in(&folder) && !other.is_in(root.path()), "another scene, and none");
+    fn what_is_generated_is_written_once() {
+        for (set, name) in [("dnerf", "transforms_train.json"), ("people", "cameras.json")] {
+            let (root, scene) = (tempfile::tempdir().unwrap(), small(set));
+            let folder = scene.write(root.path()).unwrap();
+            assert_eq!(gs_data::detect(&folder).map(|l| l.name), Some(DataSet::find(set).unwrap().reader.as_str()));
+            let file = folder.join(name);
+            fs::write(&file, "mine").unwrap();
+            assert_eq!(scene.write(root.path()).unwrap(), folder);
+            assert_eq!(fs::read_to_string(&file).unwrap(), "mine");
+            assert_eq!(fs::read_dir(root.path()).unwrap().count(), 1);
+            assert!(scene.is_in(&folder) && !scene.is_in(root.path()), "{set}");
+            assert!(!other(scene).is_in(&folder), "{set}: another scene");
+        }
     }
 }

@@ -38,6 +38,8 @@ const FILES: &[(&str, &str)] = &[
     ("trace-segments-basketball", include_str!("../tables/trace-segments-basketball.toml")),
     ("trace-continual", include_str!("../tables/trace-continual.toml")),
     ("trace-continual-panoptic", include_str!("../tables/trace-continual-panoptic.toml")),
+    ("dut-stages", include_str!("../tables/dut-stages.toml")),
+    ("dut-parts", include_str!("../tables/dut-parts.toml")),
     ("dut-runtime", include_str!("../tables/dut-runtime.toml")),
     ("dut-mocap", include_str!("../tables/dut-mocap.toml")),
 ];

@@ -54,8 +54,7 @@ impl Flight {
                 apart.push(&v.camera);
             }
         }
-        let kept = apart.len().min(KEYS);
-        let mut left: Vec<&Camera> = (0..kept).map(|k| apart[k * apart.len() / kept]).collect();
+        let mut left: Vec<&Camera> = gs_data::evenly(apart.len(), KEYS).map(|k| apart[k]).collect();
         let mut way: Vec<Camera> = Vec::new();
         while !left.is_empty() {
             let from = way.last().map_or(left[0].position(), Camera::position);

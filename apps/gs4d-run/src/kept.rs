@@ -121,9 +121,8 @@ fn spaced<T: Clone>(all: &[T], most: usize) -> Vec<T> {
 
 /// Up to [`MAX_CAMERAS`] views, evenly spaced, without their images.
 fn without_images(views: &[View]) -> Vec<View> {
-    let n = views.len().min(MAX_CAMERAS);
-    let views = (0..n).filter_map(|k| views.get(k * views.len() / n));
-    views.map(|v| View::new(&v.name, v.camera.clone(), v.time, no_image(), v.camera_id)).collect()
+    let without_image = |v: &View| View::new(&v.name, v.camera.clone(), v.time, no_image(), v.camera_id);
+    gs_data::evenly(views.len(), MAX_CAMERAS).map(|k| without_image(&views[k])).collect()
 }
 
 fn no_image() -> ImageSource {

@@ -58,7 +58,8 @@ pub fn follow(registry: &Registry, ranks: &Arc<dyn Ranks>, share: impl FnOnce())
     }
 }
 
-/// Lets the other ranks end with an exit code.
+/// Lets the other ranks end with an exit code. Where ranks could not talk to each other, it is not called: they may wait for something
+/// else ([`Ranks`]).
 pub fn dismiss(ranks: &dyn Ranks, code: u8) {
     if ranks.size() > 1 {
         // Ranks that cannot be told have noticed.

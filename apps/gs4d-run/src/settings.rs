@@ -16,7 +16,7 @@ use crate::config::{Config, ConfigError, Source};
 use gs_core::io::{Limits, read_text};
 use gs_data::{DataError, DataOptions, Dataset, ImageCache};
 use gs_train::domains::{self, Domain, STEPS, Scaling, within};
-use gs_train::registry::{Registry, section};
+use gs_train::registry::Registry;
 use gs_train::schedule::rate_fields;
 use gs_train::timeline::Timeline;
 use serde::{Deserialize, Serialize};
@@ -244,7 +244,7 @@ impl Resolved {
     /// # Errors
     /// If the schedule cannot be read.
     pub fn to_toml(&self) -> Result<String, RunError> {
-        let timeline: Timeline = section("schedule", &self.method, "schedule")?;
+        let timeline = Timeline::of(self.registry.find(&self.run.method)?, &self.method)?;
         let timeline: String = timeline.to_string().lines().map(|line| format!("# {line}\n")).collect();
         Ok(format!("# {} steps\n{timeline}\n{}", self.steps(), self.config.to_commented_toml()))
     }

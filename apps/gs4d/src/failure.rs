@@ -52,6 +52,9 @@ impl Class {
     }
 }
 
+/// Name of the failure of ranks that cannot talk to each other.
+const RANKS: &str = "ranks";
+
 /// A failure as printed on stderr.
 #[derive(Debug)]
 pub struct Failure {
@@ -90,6 +93,11 @@ impl Failure {
         Self::new(Class::Io, "io", format!("cannot {action}: {source}")).place(path.display()).remedy(remedy_of(source))
     }
 
+    /// Whether ranks could not talk to each other.
+    pub fn is_of_ranks(&self) -> bool {
+        self.id == RANKS
+    }
+
     /// What happened, and where.
     pub fn message(&self) -> String {
         let Text { what, place, .. } = self.text.as_ref();
@@ -125,7 +133,7 @@ impl Failure {
 impl From<ShareError> for Failure {
     fn from(e: ShareError) -> Self {
         match e {
-            ShareError::Ranks(_) => Self::new(Class::Io, "ranks", e.to_string()),
+            ShareError::Ranks(_) => Self::new(Class::Io, RANKS, e.to_string()),
             ShareError::Rank { code, .. } => Self::new(Class::of_code(code), "rank", e.to_string())
                 .why("all ranks work on one result")
                 .remedy("see that every machine reads the same files at the same paths"),
@@ -247,7 +255,7 @@ impl From<TrainError> for Failure {
             TrainError::Rank { code, .. } => Self::new(Class::of_code(code), "rank", e.to_string())
                 .why("all ranks make every step together")
                 .remedy("see that every machine reads the same data at the same path, and resume from the last checkpoint, if one was saved"),
-            TrainError::Ranks(_) => Self::new(Class::Io, "ranks", e.to_string()),
+            TrainError::Ranks(_) => Self::new(Class::Io, RANKS, e.to_string()),
             TrainError::Diverged { .. } => Self::new(Class::Internal, "ranks.diverged", e.to_string()),
             TrainError::Finished(_) => {
                 Self::new(Class::Usage, "finished", e.to_string()).remedy("gs4d resume RUN --steps N")
@@ -387,5 +395,27 @@ impl From<RunError> for Failure {
             RunError::Train(e) => e.into(),
             RunError::Eval(e) => e.into(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gs_train::error::RanksError;
+
+    /// Ranks that are out of step must not be told anything: whatever such an error passes through, it is known.
+    #[test]
+    fn ranks_that_cannot_talk_are_told_from_a_rank_that_fails() {
+        let error = || RanksError { what: "rank 1 is gone".into() };
+        let shared = || EvalError::Rank(ShareError::Ranks(error()));
+        let trained = || RunError::Train(TrainError::Ranks(error()));
+        for failure in
+            [Failure::from(shared()), Failure::from(RunError::Eval(shared())), Failure::from(trained()).then("go on")]
+        {
+            assert!(failure.is_of_ranks(), "{failure}");
+        }
+        let (rank, what, code) = (1, "an image is missing".to_owned(), 3);
+        let other = Failure::from(ShareError::Rank { rank, what: what.clone(), code });
+        assert!(!other.is_of_ranks() && !Failure::from(TrainError::Rank { rank, what, code }).is_of_ranks());
     }
 }

@@ -219,6 +219,7 @@ fn lead(ranks: &Arc<dyn Ranks>) -> u8 {
             });
             match done.and_then(|answer| answer.print(json)) {
                 Ok(()) => 0,
+                Err(failure) if failure.is_of_ranks() => leave(&failure),
                 Err(failure) => {
                     to_stderr(&failure);
                     failure.class as u8
@@ -234,18 +235,22 @@ fn lead(ranks: &Arc<dyn Ranks>) -> u8 {
 fn follow(ranks: &Arc<dyn Ranks>) -> u8 {
     let cli = parsed();
     let ready = set_threads(cli.as_ref().ok().and_then(|cli| cli.global.threads)).and_then(|()| interrupt::ignore());
-    let shared = || {
-        if let Ok(cli) = cli {
-            // The first rank hears of what fails.
-            let _ = run_shared(cli, ranks);
+    let shared = || match cli.map(|cli| run_shared(cli, ranks)) {
+        Ok(Err(failure)) if failure.is_of_ranks() => leave(&failure),
+        // The first rank hears of what else fails.
+        Ok(_) => {}
+        Err(e) => {
+            leave(&Failure::usage(format!("this rank cannot read the command line that the first one reads: {e}")))
         }
     };
     let followed = ready.and_then(|()| Ok(gs4d_run::ranks::follow(gs_methods::registry(), ranks, shared)?));
-    followed.unwrap_or_else(|failure| {
-        to_stderr(&failure);
-        // Others may wait for this rank: one that goes without ending MPI ends the job.
-        std::process::exit(failure.class as i32)
-    })
+    followed.unwrap_or_else(|failure| leave(&failure))
+}
+
+/// Ends this process at once. Others may wait for this rank: one that goes without ending MPI ends the job.
+fn leave(failure: &Failure) -> ! {
+    to_stderr(failure);
+    std::process::exit(failure.class as i32)
 }
 
 /// Does a share of what all ranks make.

@@ -9,7 +9,6 @@ use serde_json::json;
 use std::path::Path;
 
 #[path = "../../../gs-texel/tests/texel/small_gltf.rs"]
-#[allow(dead_code, reason = "the tests of gs-texel use all of it")]
 mod small_gltf;
 
 pub fn targets() -> Vec<Target> {

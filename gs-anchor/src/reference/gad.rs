@@ -25,6 +25,10 @@ pub struct GadRef {
     pub net: PlaneNetRef,
     /// Use `σ` instead of masks in the forward, too: the function that the straight-through backward differentiates.
     pub surrogate: bool,
+    /// Weight of one anchor's [`GadRef::squared_change`] in [`GadRef::backward`].
+    pub change_weight: f64,
+    /// The unit of changes of scales in it, world units; a constant.
+    pub scale_unit: f64,
 }
 
 impl RestRef {
@@ -51,7 +55,8 @@ impl GadRef {
         let heads = gad.config().heads.clone();
         let names: Vec<&str> = heads.iter().map(|h| h.name()).collect();
         let net = PlaneNetRef::new("gad", gad.net(), &names);
-        Self { heads, dynamics: gad.config().dynamics, net, surrogate: false }
+        let dynamics = gad.config().dynamics;
+        Self { heads, dynamics, net, surrogate: false, change_weight: 0.0, scale_unit: 1.0 }
     }
 
     /// Global and local factor, and their slopes.
@@ -85,8 +90,27 @@ impl GadRef {
         to
     }
 
-    /// Backward of [`GadRef::moved`]: adds to `grad`, returns the cotangent of the canonical anchor, whose position is
-    /// a constant to the net.
+    /// The unit that changes of a column are penalised in, if they are.
+    fn unit(&self, head: GadHead) -> Option<f64> {
+        match head {
+            GadHead::Positions => None,
+            GadHead::Features | GadHead::Offsets => Some(1.0),
+            GadHead::Scales => Some(self.scale_unit),
+        }
+    }
+
+    /// Mean square changes of features, offsets and scales at canonical time `t_c`, summed.
+    pub fn squared_change(&self, rest: &RestRef, t_c: Time) -> f64 {
+        let (factor, _) = self.factors(&rest.logits)[1];
+        let of = |(head, delta): (&GadHead, Vec<f64>)| {
+            let unit = self.unit(*head)?;
+            Some(delta.iter().map(|d| (factor * d / unit).powi(2)).sum::<f64>() / delta.len() as f64)
+        };
+        self.heads.iter().zip(self.net.outputs(rest.anchor.position, t_c)).filter_map(of).sum()
+    }
+
+    /// Backward of [`GadRef::moved`] and of the weighted [`GadRef::squared_change`]: adds to `grad`, returns the
+    /// cotangent of the canonical anchor, whose position is a constant to the net.
     pub fn backward(&self, rest: &RestRef, t_c: Time, d: &AnchorRef, grad: &mut PlaneNetRefGrad) -> RestRef {
         let factors = self.factors(&rest.logits);
         let mut back = RestRef { anchor: d.clone(), logits: vec![0.0; rest.logits.len()] };
@@ -96,6 +120,10 @@ impl GadRef {
             let (value, slope) = factors[which];
             let mut d = d.clone();
             let g = column(&mut d, *head);
+            if let Some(unit) = self.unit(*head) {
+                let by = 2.0 * self.change_weight / (delta.len() as f64 * unit * unit);
+                g.iter_mut().zip(&delta).for_each(|(g, delta)| *g += by * value * delta);
+            }
             let d_factor: f64 = g.iter().zip(&delta).map(|(g, delta)| g * delta).sum();
             if let Some(last) = back.logits.len().checked_sub(1) {
                 back.logits[which.min(last)] += slope * d_factor;

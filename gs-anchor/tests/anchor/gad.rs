@@ -7,6 +7,7 @@
 //! | reference's gradients, central differences | 1e-6 |
 //! | moved anchors | 5e-7 |
 //! | gradients of anchors, of planes and networks | 4e-6 |
+//! | penalty on changes | 4e-6 |
 
 use crate::support::{EYE, assert_close, cotangent, cotangents, flat_anchor, wide};
 use glam::Vec3;
@@ -48,7 +49,15 @@ fn cases() -> Vec<(usize, GadConfig)> {
         (1, with(Factor::Mul, Factor::Mul, Activation::Relu)),
         (2, few(&[GadHead::Positions])),
         (2, few(&[GadHead::Scales, GadHead::Features])),
+        (2, penalised(small())),
+        (1, penalised(with(Factor::Mul, Factor::Mask, Activation::Tanh))),
+        (2, penalised(few(&[GadHead::Scales, GadHead::Features]))),
     ]
+}
+
+/// With a penalty on changes, of the size of the cotangents.
+fn penalised(config: GadConfig) -> GadConfig {
+    GadConfig { change_l2: 30.0, ..config }
 }
 
 /// Random anchors, some of them outside the box, every sixth with its masks closed.
@@ -116,6 +125,11 @@ fn dot(a: &AnchorRef, b: &AnchorRef) -> f64 {
     flat_anchor(a).iter().zip(flat_anchor(b)).map(|(a, b)| a * b).sum()
 }
 
+/// What the reference's backward is the gradient of.
+fn loss(reference: &GadRef, rest: &RestRef, d: &AnchorRef) -> f64 {
+    dot(&reference.moved(rest, T), d) + reference.change_weight * reference.squared_change(rest, T)
+}
+
 const STEP: f64 = 1e-5;
 
 /// Central differences of `loss` along the values that `slots` finds in a copy of `at`.
@@ -140,6 +154,7 @@ fn the_references_gradients_are_its_central_differences() {
     for (dynamics, config) in cases() {
         let mut reference = GadRef::new(&gad(&config, dynamics));
         reference.surrogate = true;
+        (reference.change_weight, reference.scale_unit) = (f64::from(config.change_l2), 0.2);
         let (all, d) = (anchors(3, dynamics), local_cotangents(3));
         let rest: Vec<RestRef> = (0..3).map(|v| RestRef::new(&all, v)).collect();
         let mut grad = reference.net.zero_grad();
@@ -147,13 +162,12 @@ fn the_references_gradients_are_its_central_differences() {
             let d = local_cotangent(&d, v);
             let got = reference.backward(rest, T, &d, &mut grad);
             assert_eq!(got.anchor.position, d.position, "the position is a constant to the net");
-            let want = differences(rest, rest_slots, |r| dot(&reference.moved(r, T), &d));
+            let want = differences(rest, rest_slots, |r| loss(&reference, r, &d));
             let got = [&got.anchor.offsets[..], &got.anchor.features, &got.anchor.scales, &got.logits].concat();
             assert_close(&got, &want, 1e-6, &format!("{config:?}: anchor {v}"));
         }
-        let total = |reference: &GadRef| {
-            (0..3).map(|v| dot(&reference.moved(&rest[v], T), &local_cotangent(&d, v))).sum::<f64>()
-        };
+        let total =
+            |reference: &GadRef| (0..3).map(|v| loss(reference, &rest[v], &local_cotangent(&d, v))).sum::<f64>();
         for (p, got) in grad.planes.iter().enumerate() {
             let want = differences(&reference, |t| t.net.hexplane.planes[p].iter_mut().collect(), total);
             assert_close(got, &want, 1e-6, &format!("plane {p}"));
@@ -192,16 +206,21 @@ fn assert_anchors_close(anchors: &Anchors, want: &[RestRef], what: &str) {
     }
 }
 
+/// Of the penalty on changes in a step.
+const SHARE: f32 = 0.5;
+
 #[test]
 fn production_agrees_with_the_reference() {
     for (dynamics, config) in cases() {
         for n in [3, BLOCK + 20] {
             let (mut gad, mut anchors, d) = (gad(&config, dynamics), anchors(n, dynamics), local_cotangents(n));
-            let (reference, mut tape, mut out) = (GadRef::new(&gad), GadTape::default(), LocalAnchors::default());
+            let (mut reference, mut tape, mut out) = (GadRef::new(&gad), GadTape::default(), LocalAnchors::default());
+            reference.change_weight = f64::from(config.change_l2 * SHARE) / n as f64;
+            reference.scale_unit = (wide(&anchors.log_scales.value).iter().sum::<f64>() / (6 * n) as f64).exp();
             gad.forward(&anchors, T, &mut tape, &mut out);
-            gad.backward(&mut anchors, &mut tape, &d);
+            let penalty = f64::from(gad.backward(&mut anchors, &mut tape, &d, SHARE));
             let mut grad = reference.net.zero_grad();
-            let mut back = Vec::new();
+            let (mut back, mut changes) = (Vec::new(), 0.0);
             for v in 0..n {
                 let rest = RestRef::new(&anchors, v);
                 let what = format!("{config:?}: anchor {v} of {n}");
@@ -212,7 +231,10 @@ fn production_agrees_with_the_reference() {
                     &what,
                 );
                 back.push(reference.backward(&rest, T, &local_cotangent(&d, v), &mut grad));
+                changes += reference.change_weight * reference.squared_change(&rest, T);
             }
+            assert!((penalty - changes).abs() <= 4e-6 * changes, "{config:?} at {n}: {penalty} {changes}");
+            assert_eq!(penalty > 0.0, config.change_l2 > 0.0);
             assert_anchors_close(&anchors, &back, &format!("{config:?} at {n}"));
             assert_net_close(&gad, &grad, &format!("{config:?} at {n}"));
         }
@@ -232,7 +254,7 @@ fn both_stages_agree_with_the_reference() {
     let d_out = cotangents(&decode.rows, &out);
     LocalAnchorsGrad::reset(&mut d, &local);
     decoder.backward(&local, &mut decode, &d_out, &mut d);
-    gad.backward(&mut anchors, &mut tape, &d);
+    gad.backward(&mut anchors, &mut tape, &d, SHARE);
 
     let mut grad = reference.net.zero_grad();
     let mut heads: Blocks = decoder_reference.blocks.iter().map(|(n, b)| (n.clone(), vec![0.0; b.len()])).collect();
@@ -266,8 +288,8 @@ fn step(gad: &mut Gad, anchors: &mut Anchors, tape: &mut GadTape, t: Time) -> Ve
     gad.clear_grads();
     anchors.clear_grads();
     gad.forward(anchors, t, tape, &mut out);
-    gad.backward(anchors, tape, &d);
-    let mut all: Vec<f32> = out.positions.iter().flat_map(|p| p.to_array()).collect();
+    let penalty = gad.backward(anchors, tape, &d, SHARE);
+    let mut all: Vec<f32> = out.positions.iter().flat_map(|p| p.to_array()).chain([penalty]).collect();
     all.extend([&out.offsets[..], &out.features, &out.scales].concat());
     gad.visit(&mut |p| all.extend(&p.grad));
     anchors.visit(&mut |p| all.extend(&p.grad));
@@ -276,7 +298,7 @@ fn step(gad: &mut Gad, anchors: &mut Anchors, tape: &mut GadTape, t: Time) -> Ve
 
 #[test]
 fn threads_and_warm_tapes_change_no_bit() {
-    for (dynamics, config) in [(2, small()), (0, small())] {
+    for (dynamics, config) in [(2, penalised(small())), (0, small())] {
         // More blocks than chunks, and a ragged end.
         let n = 9 * BLOCK + 17;
         let on = |threads: usize| {
@@ -295,6 +317,14 @@ fn threads_and_warm_tapes_change_no_bit() {
         }
         assert!(step(&mut warm, &mut anchors(n, dynamics), &mut tape, T) == one, "a warm tape changes the result");
     }
+}
+
+#[test]
+fn changes_of_positions_are_not_penalised() {
+    let bits = |config: &GadConfig| step(&mut gad(config, 2), &mut anchors(40, 2), &mut GadTape::default(), T);
+    let positions = GadConfig { heads: vec![GadHead::Positions], ..small() };
+    assert!(bits(&positions) == bits(&penalised(positions)));
+    assert!(bits(&small()) != bits(&penalised(small())));
 }
 
 /// One `LocalAnchors` per interval is an exact cache: the splats of any later visit are the same bits.
@@ -334,6 +364,9 @@ fn names_and_refusals() {
     };
     assert_eq!(error(&GadConfig { heads: vec![], ..small() }), "heads");
     assert_eq!(error(&GadConfig { heads: vec![GadHead::Scales; 2], ..small() }), "heads");
+    for change_l2 in [-1.0, f32::NAN, f32::INFINITY] {
+        assert_eq!(error(&GadConfig { change_l2, ..small() }), "change_l2");
+    }
     let dynamics = Dynamics { threshold: f32::NAN, ..Dynamics::default() };
     assert_eq!(error(&GadConfig { dynamics, ..small() }), "threshold");
     assert_eq!(error(&GadConfig { net: PlaneNetConfig { width: 0, ..small().net }, ..small() }), "width");

@@ -126,7 +126,7 @@ pub use lens::Lens;
 pub use options::{DataOptions, TimeFrom, TimeRange, TimeShift};
 pub use pixels::ImageU8;
 pub use scene_file::write_times;
-pub use spread::spread;
+pub use spread::{evenly, spread};
 pub use start::{Start, StartFrom, cube, has_start_points, write_start};
 pub use view::{ImageSource, PointCloud, Split, View};
 

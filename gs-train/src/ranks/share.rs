@@ -1,6 +1,6 @@
 //! Work without steps (images to render, views to score, files to write) that ranks share item by item.
 
-use super::{Ranks, alone, tree};
+use super::{Ranks, alone, packed, tree, unpacked};
 use crate::error::RanksError;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -69,7 +69,8 @@ impl Share {
         tree::run_of(count, self.rank(), self.size())
     }
 
-    /// Does the items `0..count`, each on one rank; gives the results of all, in their order, on every rank.
+    /// Does the items `0..count`, each on one rank; gives the results of all, numbers that are not finite too, in their order, on every
+    /// rank.
     ///
     /// # Errors
     /// Those of `item`, and if another rank failed or cannot be reached.
@@ -82,11 +83,9 @@ impl Share {
         if self.size() == 1 {
             return Ok(mine);
         }
-        let bytes = serde_json::to_vec(&mine).map_err(|e| ShareError::from(RanksError { what: e.to_string() }))?;
+        let bytes = packed(&mine).map_err(ShareError::from)?;
         let received = self.meet(Ok(bytes), |_| true)?.into_iter().enumerate();
-        let of = |(rank, bytes): (usize, Vec<u8>)| {
-            serde_json::from_slice::<Vec<T>>(&bytes).map_err(|_| ShareError::from(RanksError::short(rank)))
-        };
+        let of = |(rank, bytes): (usize, Vec<u8>)| unpacked::<Vec<T>>(rank, &bytes).map_err(|e| self.over(e));
         Ok(received.map(of).collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
     }
 
@@ -199,6 +198,13 @@ mod tests {
                     assert_eq!(done.unwrap(), (0..items).map(|k| 0.1 * k as f64).collect::<Vec<_>>());
                 }
             }
+        }
+    }
+
+    #[test]
+    fn results_that_are_not_finite_arrive() {
+        for done in on(2, |share, _| share.each(2, |k| Ok([f64::INFINITY, f64::NEG_INFINITY][k]))) {
+            assert_eq!(done.unwrap(), [f64::INFINITY, f64::NEG_INFINITY]);
         }
     }
 

@@ -11,7 +11,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::ops::Deref;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 /// Steps between two comparisons of the parameters of all ranks.
 const COMPARED_EVERY: u32 = 100;
@@ -29,10 +29,12 @@ pub(super) enum Command {
     End,
 }
 
-/// The ranks of a trainer. When the first rank drops it, the others are told that nothing more is to be done.
+/// The ranks of a trainer. When the first rank drops it, the others are told that nothing more is to be done, if they wait for that.
 pub(super) struct Team {
     ranks: Counted,
     leads: bool,
+    /// Whether the others were asked for something and may not be done with it.
+    busy: AtomicBool,
 }
 
 /// Ranks, and the bytes that this one sent to others.
@@ -65,7 +67,14 @@ impl Default for Team {
 
 impl Team {
     fn new(ranks: Arc<dyn Ranks>, leads: bool) -> Self {
-        Self { ranks: Counted { ranks, sent: AtomicU64::new(0) }, leads }
+        Self { ranks: Counted { ranks, sent: AtomicU64::new(0) }, leads, busy: AtomicBool::new(false) }
+    }
+
+    /// Passes on what all ranks did together. The others wait for a command again, unless it ended because `lost` says that ranks could not talk
+    /// to each other.
+    pub(super) fn done<T, E>(&self, done: Result<T, E>, lost: impl FnOnce(&E) -> bool) -> Result<T, E> {
+        self.busy.store(done.as_ref().is_err_and(lost), Ordering::Relaxed);
+        done
     }
 
     /// The same ranks, for work without steps.
@@ -89,11 +98,16 @@ impl Deref for Team {
 
 impl Drop for Team {
     fn drop(&mut self) {
-        if self.leads {
+        if self.leads && !self.busy.load(Ordering::Relaxed) {
             // Ranks that cannot be told have noticed.
             let _ = all_gather(&**self, &Some(Command::End));
         }
     }
+}
+
+/// Whether ranks could not talk to each other.
+pub(super) fn lost(error: &TrainError) -> bool {
+    matches!(error, TrainError::Ranks(_))
 }
 
 /// What all ranks found, in the order of ranks, and what this one keeps. If one failed, all do.
@@ -171,8 +185,8 @@ impl Trainer {
                 }
                 Some(Command::End) | None => return Ok(()),
             };
-            if let Err(e @ TrainError::Ranks(_)) = done {
-                return Err(e);
+            if done.as_ref().is_err_and(lost) {
+                return done;
             }
         }
     }
@@ -184,7 +198,8 @@ impl Trainer {
     pub fn gather(&mut self) -> Result<(), TrainError> {
         self.fetch()?;
         self.ask(Command::Gather)?;
-        self.gather_rows()
+        let gathered = self.gather_rows();
+        self.ranks.done(gathered, lost)
     }
 
     /// What is saved is the same on all ranks.
@@ -200,7 +215,8 @@ impl Trainer {
     /// If an image cannot be read, a frame is not finite, or a rank cannot be reached.
     pub fn evaluate(&self, images: &ImageCache) -> Result<EvalReport, EvalError> {
         self.ask(Command::Evaluate).map_err(ShareError::from)?;
-        self.evaluate_with_ranks(images)
+        let scored = self.evaluate_with_ranks(images);
+        self.ranks.done(scored, |e| matches!(e, EvalError::Rank(ShareError::Ranks(_))))
     }
 
     fn evaluate_with_ranks(&self, images: &ImageCache) -> Result<EvalReport, EvalError> {
@@ -215,9 +231,12 @@ impl Trainer {
         )
     }
 
-    /// Asks the other ranks to do the same.
+    /// Asks the other ranks to do the same; [`Team::done`] is called after it.
     pub(super) fn ask(&self, command: Command) -> Result<(), RanksError> {
         if self.ranks.leads {
+            if self.ranks.busy.swap(true, Ordering::Relaxed) {
+                return Err(RanksError { what: "an earlier error left them at different places".into() });
+            }
             all_gather(&*self.ranks, &Some(command))?;
         }
         Ok(())

@@ -13,7 +13,7 @@ use gs_train::ranks::Ranks;
 use gs_train::registry::section;
 use gs_train::scene::SceneInfo;
 use gs_train::step::StepCtx;
-use gs_train::testkit::threads_as_ranks;
+use gs_train::testkit::{on_a_thread, threads_as_ranks};
 use gs_train::timestamp::Timestamp;
 use gs_train::trainer::{TrainError, TrainOptions, Trainer};
 use std::sync::Arc;
@@ -206,13 +206,21 @@ fn unknown_methods_and_settings_are_refused() {
     assert!(error("fourdgs", &without).to_string().contains("section `init` is missing"));
 }
 
-/// A rank that gets the state of the first with one mean moved: its first message.
-struct Astray {
+/// A rank that gets other messages than the ones sent: those of its call `at`, from 0, after `change`.
+struct Astray<F> {
     ranks: Arc<dyn Ranks>,
-    messages: AtomicUsize,
+    calls: AtomicUsize,
+    at: usize,
+    change: F,
 }
 
-impl Ranks for Astray {
+impl<F: Fn(&mut [Vec<u8>]) + Send + Sync> Astray<F> {
+    fn new(ranks: Arc<dyn Ranks>, at: usize, change: F) -> Arc<Self> {
+        Arc::new(Self { ranks, calls: AtomicUsize::new(0), at, change })
+    }
+}
+
+impl<F: Fn(&mut [Vec<u8>]) + Send + Sync> Ranks for Astray<F> {
     fn rank(&self) -> usize {
         self.ranks.rank()
     }
@@ -223,18 +231,23 @@ impl Ranks for Astray {
 
     fn all_to_all(&self, to: Vec<Vec<u8>>) -> Result<Vec<Vec<u8>>, RanksError> {
         let mut received = self.ranks.all_to_all(to)?;
-        if self.messages.fetch_add(1, Ordering::SeqCst) == 0 {
-            let dir = tempfile::tempdir().expect("folder");
-            let file = dir.path().join("state.gsck");
-            std::fs::write(&file, &received[0]).expect("state");
-            let mut state = Checkpoint::load(&file).expect("state");
-            let means = state.tensors.iter_mut().find(|(name, _)| name.ends_with("means")).expect("means");
-            means.1[0] += 0.5;
-            state.save(&file).expect("state");
-            received[0] = std::fs::read(&file).expect("state");
+        if self.calls.fetch_add(1, Ordering::SeqCst) == self.at {
+            (self.change)(&mut received[..]);
         }
         Ok(received)
     }
+}
+
+/// Moves one mean of the state that the first rank sent.
+fn one_mean_moved(received: &mut [Vec<u8>]) {
+    let dir = tempfile::tempdir().expect("folder");
+    let file = dir.path().join("state.gsck");
+    std::fs::write(&file, &received[0]).expect("state");
+    let mut state = Checkpoint::load(&file).expect("state");
+    let means = state.tensors.iter_mut().find(|(name, _)| name.ends_with("means")).expect("means");
+    means.1[0] += 0.5;
+    state.save(&file).expect("state");
+    received[0] = std::fs::read(&file).expect("state");
 }
 
 #[test]
@@ -243,7 +256,7 @@ fn ranks_that_differ_are_reported_before_anything_is_saved() {
     let lead = Trainer::new(registry, data.clone(), "static3d", &tiny("static3d"), TrainOptions::default());
     let mut ranks = threads_as_ranks(2);
     let (second, first) = (ranks.pop().expect("second"), ranks.pop().expect("first"));
-    let astray = Arc::new(Astray { ranks: second, messages: AtomicUsize::new(0) });
+    let astray = Astray::new(second, 0, one_mean_moved);
     std::thread::scope(|scope| {
         let follow = || Trainer::join(registry, Ok(data.clone()), 64 << 20, astray).and_then(|mut t| t.follow());
         let followed = scope.spawn(follow);
@@ -252,6 +265,29 @@ fn ranks_that_differ_are_reported_before_anything_is_saved() {
         assert!(matches!(&error, TrainError::Diverged { step: 0, ranks } if ranks[..] == [1]), "{error}");
         drop(lead);
         followed.join().expect("thread").expect("the first rank reports it");
+    });
+}
+
+/// The first of two ranks gets no result of the second's views: its fourth call, after two to begin and one to ask for the step. The
+/// second goes on with the step, and must not take what the first sends at its end for a part of it.
+#[test]
+fn a_first_rank_that_is_out_of_step_says_nothing_more() {
+    let (data, registry) = (data(16, 4), gs_methods::registry());
+    let lead = Trainer::new(registry, data.clone(), "static3d", &tiny("static3d"), TrainOptions::default());
+    let mut ranks = threads_as_ranks(2);
+    let (second, first) = (ranks.pop().expect("second"), ranks.pop().expect("first"));
+    let first = Astray::new(first, 3, |received: &mut [Vec<u8>]| received[1].clear());
+    std::thread::scope(|scope| {
+        let follow = || Trainer::join(registry, Ok(data.clone()), 64 << 20, second).and_then(|mut t| t.follow());
+        let followed = scope.spawn(|| on_a_thread(follow));
+        let mut lead = lead.expect("trainer").lead(first).expect("first rank");
+        let error = on_a_thread(|| lead.step()).expect_err("a message is empty");
+        assert!(matches!(&error, TrainError::Ranks(e) if e.what.contains("message of rank 1")), "{error}");
+        let error = lead.gather().expect_err("out of step");
+        assert!(matches!(&error, TrainError::Ranks(e) if e.what.contains("earlier error")), "{error}");
+        drop(lead);
+        let error = followed.join().expect("thread").expect_err("the first rank has gone");
+        assert!(matches!(&error, TrainError::Ranks(e) if e.what == "rank 0 is gone"), "{error}");
     });
 }
 
@@ -268,9 +304,9 @@ fn a_rank_that_fails_in_a_step_is_named_and_all_ranks_end() {
     let (second, first) = (ranks.pop().expect("second"), ranks.pop().expect("first"));
     std::thread::scope(|scope| {
         let follow = move || Trainer::join(registry, Ok(Arc::new(broken)), 64 << 20, second)?.follow();
-        let followed = scope.spawn(follow);
+        let followed = scope.spawn(|| on_a_thread(follow));
         let mut lead = lead.lead(first).expect("first rank");
-        let error = lead.step().expect_err("an image is missing");
+        let error = on_a_thread(|| lead.step()).expect_err("an image is missing");
         let named = matches!(&error, TrainError::Rank { rank: 1, what, code: 3 } if what.contains("missing.png"));
         assert!(named, "{error}");
         drop(lead);

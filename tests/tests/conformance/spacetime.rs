@@ -36,6 +36,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     presets: &[("paper", &[]), ("tiny", &[include_str!("spacetime.tiny.toml")])],
     domains: &[],
     needs_avatar: false,
+    grows: None,
     build,
 };
 

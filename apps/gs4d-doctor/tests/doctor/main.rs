@@ -170,7 +170,7 @@ fn single_wrong_poses_are_named() {
     assert!(text.contains("2 views") && text.contains(&format!("{a}: has the pose of {b}")), "{text}");
     assert!(checkup.figures.iter().any(|f| f.caption.starts_with(&format!("{b}: has the pose of {a}"))));
 
-    // A held-out image that shows something else.
+    // A held-out image that shows something else, alone and beside one that cannot be read.
     let folder = Folder::of("static");
     let test = folder.path("test/r_001.png");
     let image = load_image(&test, &Default::default()).expect("image");
@@ -180,8 +180,16 @@ fn single_wrong_poses_are_named() {
         vec![p[1], p[2], p[0], p[3]]
     });
     save_png(&test, &turned, true).expect("written");
+    let foreign = "r_001 (test): shows something that the others do not";
     let text = must_name(&folder.look(), "poses.view", Verdict::Problem);
-    assert!(text.contains("r_001 (test): shows something that the others do not"), "{text}");
+    assert!(text.contains(foreign), "{text}");
+    let other = folder.path("test/r_000.png");
+    let whole = std::fs::read(&other).expect("image");
+    std::fs::write(&other, &whole[..whole.len() / 2]).expect("written");
+    let checkup = folder.look();
+    assert!(must_name(&checkup, "data.image", Verdict::Problem).contains("r_000"), "{:?}", checkup.findings);
+    let text = must_name(&checkup, "poses.view", Verdict::Problem);
+    assert!(text.contains(foreign), "{text}");
 
     let folder = Folder::of("static-opaque");
     folder.poses(|k, m| if k == 5 { DMat4::from_translation(DVec3::splat(300.0)) * m } else { m });

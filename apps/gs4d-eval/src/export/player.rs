@@ -10,7 +10,7 @@ use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::palette::color_scale;
 use gs_train::timestamp::Timestamp;
-use gs4d_player::{Clip, Drawing, Frames, Layer, Spans, Tolerance, words};
+use gs4d_player::{Clip, Frames, Layer, RenderSettings, Spans, Tolerance, words};
 
 /// Most frames of a clip, unless more are asked for.
 const MAX_FRAMES: usize = 60;
@@ -28,7 +28,7 @@ pub fn frame_times(training: &[f32]) -> Vec<f32> {
 }
 
 impl Baker<'_> {
-    /// The scene at ascending times as a clip that is drawn as the model is, with the layers of the method. Parts are those of the motion up
+    /// The scene at ascending times as a clip that is rendered as the model is, with the layers of the method. Parts are those of the motion up
     /// to `observed`, the last training time.
     ///
     /// # Errors
@@ -43,8 +43,8 @@ impl Baker<'_> {
         let frames = self.frames(times, &|splats| splats, tick)?;
         let layers = clip_layers(self.method, &frames, times[times.len() / 2], observed)?;
         let RasterOptions { near, dilation, antialias, .. } = self.method.raster_options([0.0; 3]);
-        let drawing = Drawing { near, dilation, antialias };
-        Ok(Clip::fit(&frames, &self.poses, tolerance).with_layers(layers).drawn(drawing))
+        let settings = RenderSettings { near, dilation, antialias };
+        Ok(Clip::fit(&frames, &self.poses, tolerance).with_layers(layers).with_render_settings(settings))
     }
 
     /// The scene at ascending times as Gaussians that each last for a span, a unit of normalised time for `seconds`; and the number of

@@ -108,8 +108,8 @@ pub fn study<'a, E: From<SegmentError>>(
         Ok((mask, truth, splats, camera))
     };
     let mut overlap = Overlap::default();
-    for view in views.iter().step_by(views.len().div_ceil(ALIGNMENT_VIEWS).max(1)) {
-        let (mask, truth, ..) = render_mask(view)?;
+    for k in gs_data::evenly(views.len(), ALIGNMENT_VIEWS) {
+        let (mask, truth, ..) = render_mask(&views[k])?;
         if let Some(truth) = truth {
             overlap.add(&mask.ids, &truth).map_err(SegmentError::from)?;
         }

@@ -88,7 +88,7 @@ fn curves(stills: &[Still]) -> Result<String, ReportError> {
 
 fn images(stills: &[Still]) -> Result<String, GlmdError> {
     let mut out = String::new();
-    for still in stills.iter().step_by(stills.len().div_ceil(MAX_TIMES).max(1)) {
+    for still in gs_data::evenly(stills.len(), MAX_TIMES).map(|k| &stills[k]) {
         let _ = write!(out, "<h2>t = {:.3}</h2>\n<div class=\"strip maps\">\n", still.time);
         for (name, image) in panels::panels(still)? {
             let _ = writeln!(out, "<span>{}<small>{}</small></span>", inline_image(&image, &name)?, escape(&name));

@@ -61,8 +61,7 @@ impl Subject {
         if all.is_empty() {
             all = scene.frames.iter().collect();
         }
-        let count = frames.clamp(1, all.len());
-        let kept: Vec<AvatarFrame> = (0..count).map(|k| all[k * all.len() / count].clone()).collect();
+        let kept: Vec<AvatarFrame> = gs_data::evenly(all.len(), frames.max(1)).map(|k| all[k].clone()).collect();
         let mut film = full_film.clone();
         film.test.retain(|v| kept.iter().any(|f| f.time == v.time));
         let t = &scene.character.template;

@@ -50,7 +50,8 @@ impl From<Option<f64>> for Cell {
 }
 
 impl Cell {
-    fn number(&self) -> Option<f64> {
+    /// The number of a cell that has one.
+    pub(crate) fn number(&self) -> Option<f64> {
         if let Self::Number(n) = self { *n } else { None }
     }
 

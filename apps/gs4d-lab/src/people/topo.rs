@@ -99,9 +99,8 @@ fn evaluated(subject: &Subject, most: usize) -> Vec<bool> {
     if of.is_empty() {
         of = (0..frames.len()).collect();
     }
-    let count = most.clamp(1, of.len());
     let mut evaluated = vec![false; frames.len()];
-    (0..count).for_each(|k| evaluated[of[k * of.len() / count]] = true);
+    gs_data::evenly(of.len(), most.max(1)).for_each(|k| evaluated[of[k]] = true);
     evaluated
 }
 

@@ -37,7 +37,7 @@ class Clip {
     const from = new ByteReader(bytes), head = JSON.parse(new TextDecoder().decode(from.bytes(from.unsigned()))), { count, degree } = head;
     if (head.version !== 1) throw new RangeError(`this page holds a scene of version ${head.version}`);
     const planes = (width) => { const all = from.bytes(count * width); return (i, c) => all[c * count + i]; };
-    Object.assign(this, { count, times: head.times, kernel: head.kernel, drawing: head.drawing });
+    Object.assign(this, { count, times: head.times, kernel: head.kernel, renderSettings: head.render_settings });
     this.tracks = [3, 4, 3, 1, 3].map((width) => readTrack(from, width, count));
     this.sh = null;
     if (degree !== null) {

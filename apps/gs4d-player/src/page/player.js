@@ -73,7 +73,7 @@ async function layer(number) {
   $("meaning").textContent = chosen ? chosen.meaning : "";
   const near = clip.times.map((t, k) => k).sort((a, b) => Math.abs(clip.times[a] - state.t) - Math.abs(clip.times[b] - state.t));
   const sh = chosen ? null : clip.sh;
-  renderer.setClip({ count: clip.count, keys: [clip.key(near[0], chosen)], background: page.background, sh, ...clip.drawing });
+  renderer.setClip({ count: clip.count, keys: [clip.key(near[0], chosen)], background: page.background, sh, ...clip.renderSettings });
   for (let k = 1; k < n; k++) {
     await new Promise((done) => setTimeout(done));
     if (mine !== work) return;

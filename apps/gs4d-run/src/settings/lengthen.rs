@@ -46,7 +46,11 @@ fn kept_shares(config: &Config, last: &str, run: Change, stage: Change) -> Vec<(
         |until: f64| number("cameras.after").is_some_and(|after| run.passed(after) || run.same_step(after) >= until);
     let until = number("cameras.until").filter(|until| falls(*until));
     kept.extend(until.map(|share| ("cameras.until".to_owned(), run.same_step(share))));
-    // Shares of every stage stay what they are, unless this one is past them. (`physics.reach` has none: it opens over a whole stage.)
+    // A reach that has begun to open goes on opening as it did.
+    let opens = config.get("physics.reach").and_then(|s| s.value.as_integer()).is_some_and(|reach| reach > 1);
+    let reach = number("physics.reach_until").filter(|_| opens && stage.done > 0);
+    kept.extend(reach.map(|share| ("physics.reach_until".to_owned(), stage.same_step(share))));
+    // Shares of every stage stay what they are, unless this one is past them.
     for key in ["still.from", "still.until"] {
         kept.extend(number(key).and_then(|share| stage.once(share)).map(|share| (key.to_owned(), share)));
     }
@@ -172,6 +176,19 @@ mod tests {
         let plain = resolve(gs_methods::registry(), &request(&sets)).unwrap();
         let shorter = lengthen(&plain, 160, 0).unwrap();
         assert_shares(&shorter, &[("cameras.after", 0.5 * 300.0 / 160.0), ("cameras.until", 0.9 * 300.0 / 160.0)]);
+    }
+
+    #[test]
+    fn a_reach_that_has_begun_to_open_goes_on_as_it_did() {
+        let until = "physics.reach_until";
+        let (plain, steps, last) = of_method("trace", &[]);
+        let begun = steps - last as u32 + 1;
+        let share = last / (last + f64::from(steps));
+        for (done, want) in [(0, 1.0), (begun - 1, 1.0), (begun, share), (steps, share)] {
+            assert_shares(&lengthen(&plain, 2 * steps, done).unwrap(), &[(until, want)]);
+        }
+        let shorter = lengthen(&plain, steps - 1, begun).unwrap();
+        assert_shares(&shorter, &[(until, last / (last - 1.0))]);
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Settings are resolved, scaled and refused by name.
 
 use super::*;
+use gs_train::registry::section;
 use gs_train::schedule::{Decay, Schedule};
 
 pub(super) fn request(sets: &[&str]) -> Request {
@@ -161,6 +162,20 @@ fn every_rate_takes_every_field_and_only_stated_ones_are_listed() {
     let back = Resolved::read(gs_methods::registry(), &stepped.to_toml().unwrap(), "x").unwrap();
     let schedule: Schedule = section("static3d", &back.method, "schedule").unwrap();
     assert_eq!(schedule.lr["cloud"]["means"].decay, Decay::Step);
+}
+
+#[test]
+fn the_timeline_lists_what_has_an_effect() {
+    let text = |method: &str| {
+        let request = Request { method: method.into(), preset: "fast".into(), ..Request::default() };
+        resolve(gs_methods::registry(), &request).unwrap().to_toml().unwrap()
+    };
+    let (lambda, anchors) = ("# learning rate cloud.lambda", "passes that grow and prune");
+    for (method, has) in
+        [("static3d", [false; 2]), ("fags", [true, false]), ("scaffold", [false, true]), ("modec", [false, true])]
+    {
+        assert_eq!([lambda, anchors].map(|line| text(method).contains(line)), has, "{method}");
+    }
 }
 
 #[test]

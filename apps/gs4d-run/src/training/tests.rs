@@ -3,9 +3,12 @@ use crate::settings::{Request, resolve};
 use gs_core::testkit::faults::{Fault, Faults, with_faults};
 use gs_synth::{SynthOptions, write};
 use gs_train::checkpoint::{CheckpointError, load_newest, steps_in};
+use gs_train::device::Device;
 use gs_train::method::MethodError;
+use gs_train::registry::Registry;
 use gs_train::testkit::{fake_device, threads_as_ranks};
-use std::sync::Mutex;
+use serde_json::Value;
+use std::sync::{Arc, Mutex};
 use tempfile::TempDir;
 
 /// A folder with data of 16x16 pixels.

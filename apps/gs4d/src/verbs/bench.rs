@@ -41,7 +41,7 @@ pub struct Bench {
 /// Tables that take longer than the rows of the crates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Table {
-    /// What a frame and its gradients cost by splats, pixels and depth complexity, and what a new time costs in each method.
+    /// What a frame and its gradients cost by splats, pixels and depth complexity, and what the frames of a moving scene cost by method.
     Growth,
     /// What each approximation saves, and the error it makes.
     Approximations,

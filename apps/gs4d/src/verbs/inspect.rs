@@ -59,8 +59,16 @@ fn splat_file(path: &Path, global: &Global) -> Result<Answer, Failure> {
     let raw = load_splats(path, &limits)?;
     let bytes = file_bytes(path)?;
     let summary = SplatSummary::of(&raw);
-    let text = format!("{}  {} on disk\n{}", path.display(), bytes_text(bytes), summary.to_text());
-    Ok(Answer::new(text, json!({"file": path.display().to_string(), "file_bytes": bytes, "summary": summary})))
+    let rendered = if raw.antialiased { "anti-aliased" } else { "without anti-aliasing" };
+    let text =
+        format!("{}  {} on disk, to be rendered {rendered}\n{}", path.display(), bytes_text(bytes), summary.to_text());
+    let json = json!({
+        "file": path.display().to_string(),
+        "file_bytes": bytes,
+        "antialiased": raw.antialiased,
+        "summary": summary,
+    });
+    Ok(Answer::new(text, json))
 }
 
 fn checkpoint_file(path: &Path) -> Result<Answer, Failure> {

@@ -1,33 +1,31 @@
 //! `gs4d render`: renders a splat file or a run from given cameras or on an orbit, as images or video.
 
 mod mode;
+mod scene;
 
 use crate::answer::Answer;
 use crate::device::DeviceFlag;
 use crate::encoder::Encoder;
-use crate::failure::{Class, Failure};
+use crate::failure::Failure;
 use crate::global::Global;
-use crate::opening::{RunData, last_trained, note_extrapolated};
+use crate::opening::{RunData, note_extrapolated};
 use crate::output::{check_free, create_folder};
 use crate::parse;
 use crate::progress::Progress;
 use gs_core::io::cameras::{NamedCamera, load_cameras};
 use gs_core::io::images::save_png;
-use gs_core::io::{Limits, exr, load_splats, npy, write_file, y4m};
-use gs_core::{Camera, Image, Splats, cast};
-use gs_data::{Dataset, View};
+use gs_core::io::{Limits, exr, npy, write_file, y4m};
+use gs_core::{Camera, Image, cast};
+use gs_data::View;
 use gs_raster::RasterOptions;
 use gs_train::capabilities::{FreezeOptions, FreezeReport};
-use gs_train::method::MethodError;
 use gs_train::ranks::Share;
 use gs_train::renderer::{Renderer, file_stem};
-use gs_train::timestamp::Timestamp;
 use gs4d_run::flight::Flight;
-use gs4d_run::orbit::Orbit;
-use gs4d_run::{OpenRun, Placed};
 use mode::{Kind, Mode};
+use scene::Scene;
+pub use scene::load_splat_file;
 use serde_json::{Value, json};
-use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -109,81 +107,6 @@ const CAMERAS: &str = "give a file of cameras, dataset:N, orbit, path or path:FI
 /// Images of an orbit or path without `--times`.
 const DEFAULT_FRAMES: usize = 60;
 
-/// The rendered scene.
-enum Scene {
-    /// Splats, and whether they are drawn anti-aliased.
-    File(Box<Splats>, bool),
-    Run(Box<OpenRun>),
-}
-
-impl Scene {
-    fn splat_count(&self) -> usize {
-        match self {
-            Scene::File(splats, _) => splats.len(),
-            Scene::Run(run) => run.loaded.model.splat_count(),
-        }
-    }
-
-    fn options(&self) -> RasterOptions {
-        match self {
-            Scene::File(_, antialias) => RasterOptions { antialias: *antialias, ..RasterOptions::default() },
-            Scene::Run(run) => run.loaded.model.raster_options(run.background()),
-        }
-    }
-
-    /// The dataset of the run; `what` names the option that needs it.
-    fn data(&self, what: &str) -> Result<Dataset, Failure> {
-        match self {
-            Scene::File(..) => Err(Failure::usage(format!("{what} needs a run"))),
-            Scene::Run(run) => Ok(run.open_data()?),
-        }
-    }
-
-    /// Where the cameras of the run stand that were refined.
-    fn placed(&self) -> Placed {
-        match self {
-            Scene::File(..) => Placed::default(),
-            Scene::Run(run) => run.placed(),
-        }
-    }
-
-    /// The training views of the run, or those it has kept, as they were learnt; `what` names the option that needs them.
-    fn training_views(&self, what: &str) -> Result<Vec<View>, Failure> {
-        match self {
-            Scene::File(..) => Err(Failure::usage(format!("{what} needs a run"))),
-            Scene::Run(run) => Ok(run.training_views()?.iter().map(|view| run.placed().view(view)).collect()),
-        }
-    }
-
-    /// The orbit of the dataset's cameras, or around the splats of a file.
-    fn orbit(&self) -> Result<Option<Orbit>, Failure> {
-        match self {
-            Scene::File(splats, _) => Ok(Orbit::of_splats(&splats.means)),
-            Scene::Run(_) => Ok(Orbit::of_views(&self.training_views("--camera orbit")?)),
-        }
-    }
-
-    /// Normalised time of the last training image.
-    fn last_time(&self) -> f32 {
-        match self {
-            Scene::File(..) => 1.0,
-            Scene::Run(run) => last_trained(run),
-        }
-    }
-
-    /// The splats at a time, as a camera sees them.
-    fn splats(&self, camera: &Camera, time: f32) -> Result<Cow<'_, Splats>, MethodError> {
-        Ok(match self {
-            Scene::File(splats, _) => Cow::Borrowed(splats),
-            Scene::Run(run) => {
-                let splats = run.loaded.model.splats(&Timestamp::normalised(time), camera)?;
-                checked(&splats, time)?;
-                Cow::Owned(splats)
-            }
-        })
-    }
-}
-
 /// Times of keys that are evenly spaced over a path; `None` unless all have one.
 fn key_times(keys: &[NamedCamera]) -> Option<Vec<f32>> {
     keys.iter().map(|k| k.time).collect()
@@ -195,19 +118,6 @@ fn between(values: &[f32], share: f32) -> f32 {
     let k = cast::to_usize(f64::from(way)).min(values.len() - 2);
     let w = way - k as f32;
     (1.0 - w) * values[k] + w * values[k + 1]
-}
-
-/// Fails unless all values of the splats at a time are in their domains.
-fn checked(splats: &Splats, time: f32) -> Result<(), MethodError> {
-    splats.check().map_err(|e| MethodError::Render(format!("the scene at time {time}: {e}")))
-}
-
-/// The splats of a file, and whether they are drawn anti-aliased.
-pub fn load_splat_file(path: &Path, global: &Global) -> Result<(Splats, bool), Failure> {
-    let raw = load_splats(path, &global.limits())?;
-    let splats = raw.to_splats();
-    let splats = splats.map_err(|e| Failure::new(Class::Data, "data.splats", e.to_string()).place(path.display()))?;
-    Ok((splats, raw.antialiased))
 }
 
 impl Render {

@@ -15,7 +15,8 @@ use gs4d_lab::aligned;
 use gs4d_lab::contest::{Contest, Length, Results};
 use gs4d_reproduce::documents::Listed;
 use gs4d_reproduce::{
-    Beside, Conditions, DataSet, Outcome, ReproduceError, Reproduction, Scene, Table, TableError, documents, page,
+    Beside, Conditions, DataSet, Generated, Outcome, ReproduceError, Reproduction, Scene, Table, TableError, documents,
+    page,
 };
 use gs4d_run::shell_quoted;
 use serde_json::{Value, json};
@@ -199,7 +200,10 @@ fn list(paper: Option<&str>, roots: &[PathBuf]) -> Result<Answer, Failure> {
     for table in all.iter().filter(|t| paper.is_none_or(|p| t.paper == p)) {
         let set = table.data.as_ref().and_then(|d| sets.get(d));
         let here = set.map_or(0, |set| table.scenes.iter().filter(|s| set.folder(s, roots).is_ok()).count());
-        let number = set.map(|_| format!("{here} of {}", table.scenes.len()));
+        let number = set.map(|_| match table.scenes.len() {
+            0 => "generated ones alone".to_owned(),
+            n => format!("{here} of {n}"),
+        });
         let scenes = number.into_iter().chain(table.command.clone()).collect::<Vec<_>>().join(": ");
         rows.push(vec![table.paper.clone(), table.name.clone(), table.title.clone(), table.source.clone(), scenes]);
         values.push(json!({"paper": table.paper, "table": table.name, "title": table.title, "source": table.source,
@@ -228,7 +232,7 @@ fn shown(table: &Table, roots: &[PathBuf]) -> Result<Answer, Failure> {
             scenes.push(json!({"scene": scene.name, "folder": folder.as_ref().ok(), "absent": folder.as_ref().err(),
                 "check": check}));
         }
-        let names: Vec<&str> = set.generated.iter().map(|g| g.name.as_str()).collect();
+        let names: Vec<&str> = set.generated.iter().map(Generated::name).collect();
         text.push_str(&format!("generated scenes that stand in: {}\n", names.join(", ")));
         if table.command.is_none() {
             text.push_str("run the table: -o DIR\n");

@@ -40,7 +40,7 @@ fn against_rasteriser(drawn: &Value, clip: &Clip, time: f32, file: &Path) -> f64
     std::fs::write(file, base64(drawn[0].as_str().unwrap().split_once(',').unwrap().1)).unwrap();
     let (theirs, camera) = (load_image(file, &Limits::default()).unwrap(), camera(&drawn[1]));
     let background = std::array::from_fn(|c| drawn[2][c].as_f64().unwrap() as f32);
-    let gs4d_player::Drawing { near, dilation, antialias } = clip.drawing();
+    let gs4d_player::RenderSettings { near, dilation, antialias } = clip.render_settings();
     let options = RasterOptions { background, near, dilation, antialias, ..RasterOptions::default() };
     let ours = render(&clip.splats(time), &camera, &options, &mut Workspace::new()).rgb;
     let sum: f64 = (0..360 * 480)

@@ -233,7 +233,7 @@ fn anti_aliased_splats_stay_so() {
     }
     assert!(!says("run", "a.html", &["--no-eval", "--times", "0..1:3"]));
     let page = gs4d_player::read(&fs::read_to_string(at("a.html")).unwrap()).unwrap();
-    assert!(page.drawing().antialias);
+    assert!(page.render_settings().antialias);
     // Converted files, too, and those whose kernels become Gaussians.
     let ply = load("a.ply");
     let kernel = gs_core::Kernel::Acutance { acutances: vec![0.5; ply.len()] };

@@ -251,6 +251,21 @@ fn many_splats_are_inspected() {
 }
 
 #[test]
+fn it_is_inspected_whether_splats_are_rendered_anti_aliased() {
+    let dir = tempfile::tempdir().unwrap();
+    let plain = gs_core::io::load_splats(ply(), &Limits::default()).unwrap();
+    for (name, antialiased) in [("a.ply", true), ("b.ply", false), ("a.spz", true), ("b.spz", false)] {
+        let path = dir.path().join(name);
+        let splats = gs_core::io::RawSplats { antialiased, ..plain.clone() };
+        gs_core::io::save_splats(&path, &splats, false).unwrap();
+        assert_eq!(good(&["inspect", text(&path), "--json"]).json()["antialiased"], antialiased, "{name}");
+        let words =
+            if antialiased { "to be rendered anti-aliased\n" } else { "to be rendered without anti-aliasing\n" };
+        assert!(good(&["inspect", text(&path)]).out.contains(words), "{name}");
+    }
+}
+
+#[test]
 fn a_video_goes_around_the_scene_while_time_passes() {
     let dir = tempfile::tempdir().unwrap();
     let all = ["render", text(run()), "--camera", "orbit", "--times", "0..1:5", "--format", "y4m", "--fps", "12"];

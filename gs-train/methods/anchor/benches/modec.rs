@@ -328,7 +328,9 @@ fn stages(run: &Run, parts: &mut Parts) {
         d_local.reset(&local);
         parts.decoder.backward(&local, &mut decoded, &d_neural, &mut d_local);
     });
-    time("GAD back", anchors, &mut || parts.gad.backward(&mut parts.anchors, &mut gad, &d_local));
+    time("GAD back", anchors, &mut || {
+        parts.gad.backward(&mut parts.anchors, &mut gad, &d_local, 1.0);
+    });
     let line: Vec<String> = all.iter().map(|(name, ms)| format!("{name} {ms:.2}")).collect();
     println!("  stages, {anchors} anchors, {} splats, ms: {}", neural.len(), line.join("  "));
 }

@@ -44,6 +44,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     ],
     domains: DOMAINS,
     needs_avatar: false,
+    grows: Some(scaffold::grows),
     build,
 };
 

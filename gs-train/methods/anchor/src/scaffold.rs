@@ -6,7 +6,7 @@ use gs_train::domains::{Domain, interval, length, within};
 use gs_train::layers::BASE;
 use gs_train::method::MethodError;
 use gs_train::model::Model;
-use gs_train::registry::{MethodEntry, parse_config};
+use gs_train::registry::{Grows, MethodEntry, parse_config, section};
 use gs_train::scene::{InitConfig, SceneInfo};
 use gs_train::schedule::Schedule;
 use serde::{Deserialize, Serialize};
@@ -46,6 +46,7 @@ pub(super) const DOMAINS: &[Domain] = &[
     within("intervals.tau", -1e3, 1e3),
     length("intervals.until", 0.0),
     within("dynamics.threshold", 0.0, 1.0),
+    within("gad.change_l2", 0.0, 1e4),
     within("hash.lambda_s", 0.0, 1e4),
     within("hash.lambda_t", 0.0, 1e4),
     within("logits", 1.0, 2.0),
@@ -60,8 +61,15 @@ pub const ENTRY: MethodEntry = MethodEntry {
     presets: &[("paper", &[]), ("fast", &[FAST]), ("tiny", &[TINY])],
     domains: DOMAINS,
     needs_avatar: false,
+    grows: Some(grows),
     build,
 };
+
+/// When anchors grow and are pruned.
+pub(super) fn grows(config: &toml::Table) -> Result<Grows, MethodError> {
+    let rules: AnchorDensifyRules = section("anchors", config, "adapt")?;
+    Ok(Box::new(move |clock| rules.grows_at(clock)))
+}
 
 /// Settings of `scaffold`, the sections of its TOML file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

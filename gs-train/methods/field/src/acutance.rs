@@ -17,6 +17,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     presets: PRESETS,
     domains: DOMAINS,
     needs_avatar: false,
+    grows: None,
     build,
 };
 

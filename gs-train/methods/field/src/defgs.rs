@@ -28,6 +28,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     ],
     domains: &[],
     needs_avatar: false,
+    grows: None,
     build,
 };
 

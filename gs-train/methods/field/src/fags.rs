@@ -22,6 +22,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     ],
     domains: DOMAINS,
     needs_avatar: false,
+    grows: None,
     build,
 };
 

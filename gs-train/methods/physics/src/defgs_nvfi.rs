@@ -29,6 +29,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     ],
     domains: DOMAINS,
     needs_avatar: false,
+    grows: None,
     build,
 };
 

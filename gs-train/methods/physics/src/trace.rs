@@ -46,6 +46,7 @@ pub(super) const DOMAINS: &[Domain] = &[
     within("physics.bodies", 0.0, 1e6),
     within("physics.direct", 0.0, 1.0),
     within("physics.reach", 1.0, 1e6),
+    within("physics.reach_until", 1e-9, 1e9),
     within("physics.settle", 0.0, 1.0),
     within("physics.settle_frames", 0.0, 1e6),
     within("physics.slack", 0.0, 1e6),
@@ -71,6 +72,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     ],
     domains: DOMAINS,
     needs_avatar: false,
+    grows: None,
     build,
 };
 

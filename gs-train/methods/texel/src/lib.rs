@@ -14,6 +14,8 @@ mod cache;
 mod config;
 mod direct;
 mod geometry;
+mod inspect;
+mod learn;
 mod light;
 mod mean;
 mod network;
@@ -27,17 +29,18 @@ pub use config::{
     Config, DirectColor, DirectConfig, GauConfig, GaussianConfig, Input, LaplacianRule, Mode, Phase, Plan, PointRule,
     ReferenceConfig, ResizeRule, SurfaceConfig, TextureLoss, TextureSizes, UnseenColor,
 };
+pub use inspect::OffsetErrors;
 pub use mean::MeanTextures;
 pub use oracle::OracleOptions;
 
 use cache::Cache;
 use direct::Direct;
 use geometry::Geometry;
-use gs_core::{Camera, Image, Param, Params, Rng, Splats, SplatsGrad, cast};
+use gs_core::{Camera, Image, Param, Params, Splats, SplatsGrad};
 use gs_data::avatar::{AvatarFrame, AvatarScene};
 use gs_texel::Pose;
-use gs_texel::gaussians::{Channels, DecodeOptions, OFFSET, OPACITY, decode, decode_backward, offset_penalty};
-use gs_train::capabilities::{Capabilities, Inspect, Quantity};
+use gs_texel::gaussians::{Channels, DecodeOptions, decode};
+use gs_train::capabilities::Capabilities;
 use gs_train::layers::BASE;
 use gs_train::loss::TextureTerm;
 use gs_train::method::{
@@ -45,11 +48,10 @@ use gs_train::method::{
 };
 use gs_train::model::Model;
 use gs_train::registry::{MethodEntry, parse_config};
-use gs_train::report::{ReportRow, Section};
 use gs_train::scene::SceneInfo;
 use gs_train::step::StepCtx;
 use gs_train::timestamp::Timestamp;
-use mean::MeanTexture;
+use learn::StepError;
 use network::Network;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -74,6 +76,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     ],
     domains: config::DOMAINS,
     needs_avatar: true,
+    grows: None,
     build,
 };
 
@@ -84,15 +87,6 @@ pub const METHODS: &[MethodEntry] = &[ENTRY];
 enum Source {
     Network(Box<Network>),
     Direct(Box<Direct>),
-}
-
-/// Offsets against the true ones: in all, and along the normals of the bind pose.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct OffsetErrors {
-    /// RMS error over RMS length; NaN where no truth is known.
-    pub ratio: [f64; 2],
-    /// RMS length of the true ones, metres.
-    pub length: [f64; 2],
 }
 
 /// The method DUT: a skinned template, its networks and their training.
@@ -182,39 +176,6 @@ impl Dut {
         self.geometry.as_ref().map(|g| g.offsets(&self.actor, first)).transpose()
     }
 
-    /// How well GeoNet knows the surface, over all frames whose true offsets are known: RMS error over RMS length.
-    ///
-    /// # Errors
-    /// As [`Actor::first`].
-    pub fn offset_errors(&self) -> Result<OffsetErrors, FrameError> {
-        self.errors_of(|_, first| self.offsets(first))
-    }
-
-    /// The same of any offsets.
-    fn errors_of(
-        &self,
-        offsets: impl Fn(&AvatarFrame, &First) -> Result<Option<Vec<glam::Vec3>>, FrameError>,
-    ) -> Result<OffsetErrors, FrameError> {
-        let (scene, mut sums) = (&self.actor.scene, OffsetErrors::default());
-        let template = &scene.character.template;
-        let normals = self.actor.topology.normals(&template.vertices, &template.faces);
-        let (mut error, mut count) = ([0.0f64; 2], 0usize);
-        for frame in &scene.frames {
-            let Some(wanted) = scene.true_offsets(frame) else { continue };
-            let first = self.first(frame)?;
-            let Some(found) = offsets(frame, &first)? else { continue };
-            for ((found, wanted), normal) in found.iter().zip(&wanted).zip(&normals) {
-                let squares = |v: glam::Vec3| [v.length_squared(), v.dot(*normal).powi(2)].map(f64::from);
-                error.iter_mut().zip(squares(*found - *wanted)).for_each(|(sum, v)| *sum += v);
-                sums.length.iter_mut().zip(squares(*wanted)).for_each(|(sum, v)| *sum += v);
-            }
-            count += found.len();
-        }
-        sums.ratio = [0, 1].map(|k| (error[k] / sums.length[k]).sqrt());
-        sums.length = sums.length.map(|v| (v / count.max(1) as f64).sqrt());
-        Ok(sums)
-    }
-
     /// A frame behind GeoNet.
     ///
     /// # Errors
@@ -273,93 +234,6 @@ impl Dut {
     fn at_frame(frame: &AvatarFrame, error: &FrameError) -> MethodError {
         MethodError::Render(format!("frame {} of the filmed person: {error}", frame.number))
     }
-
-    /// The frame before GeoNet; in a share of the steps as one camera alone sees it, if the settings ask for that.
-    fn occluded(&self, frame: &AvatarFrame) -> Result<Arc<First>, FrameError> {
-        let first = self.first(frame)?;
-        let mut rng = Rng::new(self.seed, "dut.one_view", self.at.step, frame.number.into());
-        if rng.uniform() >= self.config.surface.one_view {
-            return Ok(first);
-        }
-        let images = self.actor.images(frame)?;
-        let one = rng.below(cast::to_u32(images.len().max(1))) as usize;
-        Ok(Arc::new(self.actor.first_of(first.posed.clone(), images.get(one..=one).unwrap_or(&images))?))
-    }
-
-    /// The frame that a step learns from: in the warm-up one of the first ones, if the settings ask for that.
-    fn frame_of_step<'a>(&self, frames: &'a [AvatarFrame], frame: &'a AvatarFrame) -> &'a AvatarFrame {
-        if self.phase() != Phase::WarmUp {
-            return frame;
-        }
-        let learnt: Vec<&AvatarFrame> = frames.iter().filter(|f| f.learnt).collect();
-        let at = learnt.iter().position(|f| f.number == frame.number).unwrap_or(0);
-        let first = cast::to_usize(at as f64 * f64::from(self.config.gaunet.warm_up_frames));
-        learnt.get(first).copied().unwrap_or(frame)
-    }
-
-    fn learn(&mut self, frame: &AvatarFrame, render: &mut dyn RenderView) -> Result<(), StepError> {
-        let share = 1.0 / self.at.batch as f32;
-        let phase = self.phase();
-        if phase == Phase::Geometry {
-            let first = self.occluded(frame)?;
-            let Some(geometry) = &mut self.geometry else { return Ok(()) };
-            let terms = geometry.learn(&self.actor, frame, &first, share)?;
-            terms.into_iter().for_each(|(name, value)| self.add_penalty(name, value));
-            return Ok(());
-        }
-        let second = self.jittered(self.second(frame)?, frame.number);
-        let (mut rows, mut d_rows) = (std::mem::take(&mut self.rows), std::mem::take(&mut self.d_rows));
-        self.rows(&second, &mut rows)?;
-        d_rows.clear();
-        d_rows.resize(rows.len(), 0.0);
-        if let (Phase::WarmUp, Source::Network(net)) = (phase, &self.source) {
-            let loss = net.warm_up(&self.actor, &second, &rows, share, &mut d_rows)?;
-            self.add_penalty("warm_up", loss);
-        } else {
-            self.render(&second, &rows, &mut d_rows, render)?;
-            let penalty = offset_penalty(&rows, self.channels, self.config.gaussians.reg * share, &mut d_rows);
-            self.add_penalty("offsets", cast::to_f32(penalty));
-        }
-        match &mut self.source {
-            Source::Network(net) => net.backward(&self.actor, &second, &d_rows)?,
-            Source::Direct(direct) => direct.backward(&self.actor, &second, &d_rows),
-        }
-        (self.rows, self.d_rows) = (rows, d_rows);
-        Ok(())
-    }
-
-    /// The frame under a light of this step's own, if the settings ask for that.
-    fn jittered(&self, second: Arc<Second>, number: u32) -> Arc<Second> {
-        let most = self.config.jitter;
-        if most == 0.0 || self.phase() != Phase::Main {
-            return second;
-        }
-        let mut rng = Rng::new(self.seed, "dut.jitter", self.at.step, number.into());
-        let gain = std::array::from_fn(|_| (most * (2.0 * rng.uniform() - 1.0)).exp());
-        Arc::new(self.actor.relit(&second, gain, self.config.jitter_image))
-    }
-
-    /// Texel values to an image and its loss, and backward.
-    fn render(
-        &mut self,
-        second: &Second,
-        rows: &[f32],
-        d_rows: &mut [f32],
-        render: &mut dyn RenderView,
-    ) -> Result<(), StepError> {
-        let splats = self.decode(rows, second)?;
-        render.render(splats.view(), &mut self.d_splats)?;
-        light::pull_back(&mut self.d_splats, second.light);
-        Ok(decode_backward(rows, self.channels, &second.base, &self.decoding(), &self.d_splats, d_rows, None)
-            .map_err(FrameError::from)?)
-    }
-
-    fn add_penalty(&mut self, name: &'static str, value: f32) {
-        match self.penalties.iter_mut().find(|p| p.0 == name) {
-            Some(sum) => sum.1 += value,
-            None => self.penalties.push((name, value)),
-        }
-    }
 }
 
 impl Params for Dut {
@@ -377,25 +251,6 @@ impl Params for Dut {
             Source::Network(net) => net.visit_mut(f),
             Source::Direct(direct) => direct.visit_mut(f),
         }
-    }
-}
-
-/// Why a step failed: an input of the frame, or rendering.
-#[derive(Debug)]
-enum StepError {
-    Frame(FrameError),
-    Render(MethodError),
-}
-
-impl<E: Into<FrameError>> From<E> for StepError {
-    fn from(e: E) -> Self {
-        Self::Frame(e.into())
-    }
-}
-
-impl From<MethodError> for StepError {
-    fn from(e: MethodError) -> Self {
-        Self::Render(e)
     }
 }
 
@@ -434,20 +289,6 @@ impl Dut {
         let mut rows = Vec::new();
         self.rows(&second, &mut rows)?;
         self.decode(&rows, &second)
-    }
-
-    /// Makes the mean colours anew while GeoNet learns, if asked for.
-    fn refresh_mean_textures(&mut self) -> Result<(), FrameError> {
-        let every = self.config.surface.refresh;
-        let due = every > 0 && self.at.step.is_multiple_of(every) && self.phase() == Phase::Geometry;
-        if due && !self.actor.mean.gau.is_empty() {
-            let through = |frame: &AvatarFrame| self.first(frame).and_then(|first| self.offsets(&first));
-            let [MeanTexture { colors, known }] = self.actor.mean_textures([Some(&self.actor.gau)], through)?;
-            (self.actor.mean.gau, self.actor.mean.known) = (colors, known);
-            // Their light is relative to the mean colours.
-            self.firsts.clear();
-        }
-        Ok(())
     }
 }
 
@@ -530,48 +371,5 @@ impl Method for Dut {
 
     fn capabilities(&self) -> Capabilities<'_> {
         Capabilities { inspect: Some(self), concrete: Some(self), ..Capabilities::default() }
-    }
-}
-
-impl Inspect for Dut {
-    /// How well GeoNet knows the surface, where the film carries the truth.
-    fn report_section(&self, _events: &[serde_json::Value]) -> Result<Option<Section>, MethodError> {
-        if self.geometry.is_none() {
-            return Ok(None);
-        }
-        let wrong = |e| Self::at_frame(self.actor.frame_at(Default::default()), &e);
-        let OffsetErrors { ratio, length } = self.offset_errors().map_err(wrong)?;
-        if !ratio[0].is_finite() {
-            return Ok(None);
-        }
-        let along = |k: usize, what: &str| {
-            let value = format!("{:.1} % of {:.1} mm", 100.0 * ratio[k], 1e3 * length[k]);
-            ReportRow::new(
-                what,
-                value,
-                "RMS over all frames, of that of the true offsets; 100 %: the template without offsets",
-            )
-        };
-        Ok(Some(Section {
-            title: "Offsets of the template".into(),
-            rows: vec![along(0, "error of offsets"), along(1, "error along normals")],
-            json: serde_json::json!({"offsets": {"error": ratio, "length_m": length}}),
-            ..Section::default()
-        }))
-    }
-
-    fn quantities(&self, at: &Timestamp) -> Result<Vec<Quantity>, MethodError> {
-        let texels = self.texels_at(at);
-        let (second, rows) = texels.map_err(|e| Self::at_frame(self.actor.frame_at(at.t), &e))?;
-        let width = self.channels.width();
-        let each = |value: &dyn Fn(&[f32]) -> f32| rows.chunks_exact(width).map(value).collect();
-        let offset = |row: &[f32]| row[OFFSET].iter().map(|d| d * d).sum::<f32>().sqrt();
-        let number = |name, unit, values| Quantity { name, unit, range: None, values };
-        Ok(vec![
-            number("visibility", "views", second.seen.views.clone()),
-            number("offset", "m", each(&offset)),
-            number("kappa", "", second.base.kappas.clone()),
-            Quantity::share("opacity", each(&|row| 1.0 / (1.0 + (-row[OPACITY]).exp()))),
-        ])
     }
 }

@@ -1,6 +1,6 @@
 //! What `gs4d render` draws: colours, depth, alpha, counts, or a layer of the method.
 
-use super::Scene;
+use super::scene::{Scene, checked};
 use crate::failure::{Class, Failure};
 use gs_core::{Camera, Image, Splats};
 use gs_raster::Frame;
@@ -125,7 +125,7 @@ impl<'a> Layer<'a> {
             None => self.at(time)?.overlay.colors,
         };
         let splats = self.model.all_splats(&Timestamp::normalised(time), camera)?;
-        super::checked(&splats, time)?;
+        checked(&splats, time)?;
         Ok(layers::painted(splats, &self.name, colors)?)
     }
 

@@ -7,6 +7,8 @@ use glam::Vec3;
 use gs_anchor::visible::{self, SUPPORT, VisibilityOptions};
 use gs_anchor::{DecodeTape, LgdTape, LocalAnchors, LocalAnchorsGrad, Visible};
 use gs_core::{Camera, Geometry, GeometryRef, Splats, SplatsGrad, SplatsRef, Time, cast};
+use gs_train::method::LossValue;
+use gs_train::step::StepCtx;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -125,8 +127,9 @@ impl Anchored {
         held
     }
 
-    /// Pulls the cotangents of the tape's splats into every gradient.
-    pub(super) fn backward(&mut self) {
+    /// Pulls the cotangents of the tape's splats into every gradient, with those of the penalty on what GAD changes. Returns
+    /// that penalty, where there is one.
+    pub(super) fn backward(&mut self) -> Option<LossValue> {
         let tape = &mut self.tape;
         tape.d_local.reset(&tape.local);
         if let Some(lgd) = self.motion.lgd.as_mut().filter(|_| tape.moves) {
@@ -148,11 +151,13 @@ impl Anchored {
             tape.d_splats.swap_geometry(&mut tape.d_decoded);
         }
         self.decoder.backward(&tape.local, &mut tape.decoded, &tape.d_splats, &mut tape.d_local);
-        let dynamic = self.at.dynamic;
-        match self.motion.gad.as_mut().filter(|_| dynamic) {
-            Some(gad) => tape.keys.backward(gad, &mut self.anchors, &tape.d_local),
-            None => self.anchors.activate_backward(&tape.local, &tape.d_local),
-        }
+        let StepCtx { dynamic, batch, .. } = self.at;
+        let Some(gad) = self.motion.gad.as_mut().filter(|_| dynamic) else {
+            self.anchors.activate_backward(&tape.local, &tape.d_local);
+            return None;
+        };
+        let penalty = tape.keys.backward(gad, &mut self.anchors, &tape.d_local, 1.0 / batch.max(1) as f32);
+        (gad.config().change_l2 > 0.0).then_some(("global_change", penalty))
     }
 }
 

@@ -33,15 +33,17 @@ impl KeyFrames {
         out.blend(&parts);
     }
 
-    /// Pulls the cotangents of [`Self::forward`]'s result into the gradients of anchors and field.
-    pub(super) fn backward(&mut self, gad: &mut Gad, anchors: &mut Anchors, d: &LocalAnchorsGrad) {
+    /// Pulls the cotangents of [`Self::forward`]'s result into the gradients of anchors and field. The penalty on changes
+    /// counts with `share`, each key frame with the size of its blending weight; returns the penalty.
+    pub(super) fn backward(&mut self, gad: &mut Gad, anchors: &mut Anchors, d: &LocalAnchorsGrad, share: f32) -> f32 {
         if let [_] = self.weights[..] {
-            gad.backward(anchors, &mut self.tapes[0], d);
-            return;
+            return gad.backward(anchors, &mut self.tapes[0], d, share);
         }
+        let mut penalty = 0.0;
         for (tape, w) in self.tapes.iter_mut().zip(&self.weights) {
             self.d_part.scale_from(d, *w);
-            gad.backward(anchors, tape, &self.d_part);
+            penalty += gad.backward(anchors, tape, &self.d_part, share * w.abs());
         }
+        penalty
     }
 }

@@ -20,7 +20,7 @@ use crate::journal::Journal;
 use forward::Tape;
 use gs_anchor::{
     AnchorDensify, AnchorDensifyRules, AnchorDensifyStep, AnchorInit, AnchorShape, AnchorView, Anchors, Decoder,
-    DecoderConfig, HeadInputs, Intervals, Lgd, StorageSizes, StorageTable,
+    DecoderConfig, Gad, GadHead, HeadInputs, Intervals, Lgd, StorageSizes, StorageTable,
 };
 use gs_core::{Camera, Param, Params, Splats, cast};
 use gs_raster::ScreenStats;
@@ -272,9 +272,9 @@ impl Method for Anchored {
         self.forward(view.at.t, view.camera);
         let (splats, d_splats) = self.tape.rendered();
         let stats = render.render(splats, d_splats)?;
-        self.backward();
+        let penalty = self.backward();
         self.accumulate(view, stats);
-        Ok(Vec::new())
+        Ok(penalty.into_iter().collect())
     }
 
     fn regularise(&mut self, last: &Timestamp) -> Vec<LossValue> {
@@ -384,7 +384,11 @@ impl Inspect for Anchored {
     }
 
     fn warnings(&self) -> Vec<String> {
-        self.motion.intervals.iter().filter_map(Intervals::warning).collect()
+        let gad = self.motion.gad.iter().map(Gad::config);
+        let idle = gad
+            .filter(|c| c.change_l2 > 0.0 && c.heads == [GadHead::Positions])
+            .map(|_| "gad.change_l2 has no effect: gad.heads has positions only, which are not penalised".to_owned());
+        self.motion.intervals.iter().filter_map(Intervals::warning).chain(idle).collect()
     }
 
     fn paper_storage(&self) -> Option<PaperStorage> {

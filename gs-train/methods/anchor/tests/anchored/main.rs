@@ -9,6 +9,7 @@
 //! | without GAD and LGD against the plain scaffold | same bits |
 //! | centres of baked rows at times between those looked at | 1.5 × the tolerance |
 
+mod change;
 mod hash;
 
 use gs_core::{Camera, Splats, SplatsGrad, SplatsRef, Time};

@@ -10,8 +10,13 @@ pub struct PhysicsConfig {
     /// Δt, the step from the field's time to the image's, in intervals between frames.
     pub step_frames: f32,
     /// In training the dynamics carry splats over 1 to so many steps Δt, drawn anew each time (TRACE: 1). The farther, the
-    /// better accelerations can be told: they move a particle by ½ a (n Δt)². The range opens over the stage.
+    /// better accelerations can be told: they move a particle by ½ a (n Δt)². The range opens over a share of the stage
+    /// ([`Self::reach_until`]).
     pub reach: u32,
+    /// Share of the stage, above 0, over which the range opens: above 1 it does not open fully. A run that gets another length while it
+    /// opens has another share, with which it goes on opening as it did.
+    #[serde(default = "whole")]
+    pub reach_until: f32,
     /// Share of the training steps, up to `T_def`, in which the field alone renders the image, at its own time (TRACE: 0).
     /// What moves is then kept while the dynamics are still wrong, and seen timestamps are learnt as without dynamics.
     pub direct: f32,
@@ -50,6 +55,10 @@ pub struct PhysicsConfig {
     pub turn_gradients: bool,
 }
 
+fn whole() -> f32 {
+    1.0
+}
+
 /// How timestamps that were seen are rendered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -69,6 +78,8 @@ impl PhysicsConfig {
         };
         need(self.step_frames > 0.0 && self.step_frames.is_finite(), "step_frames", self.step_frames, "above 0")?;
         need((1..=1000).contains(&self.reach), "reach", self.reach as f32, "1 to 1000")?;
+        let until = self.reach_until;
+        need(until > 0.0 && until.is_finite(), "reach_until", until, "above 0")?;
         need((0.0..1.0).contains(&self.direct), "direct", self.direct, "0 or more, below 1")?;
         need(self.back_frames >= 0.0 && self.back_frames.is_finite(), "back_frames", self.back_frames, "0 or more")?;
         need((0.0..1.0).contains(&self.start), "start", self.start, "0 or more, below 1")?;

@@ -71,7 +71,8 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
 
     /// Steps Δt that the dynamics carry splats at most in the present step of training.
     pub(super) fn reach(&self) -> f64 {
-        1.0 + self.stage_share() * f64::from(self.config.reach - 1)
+        let PhysicsConfig { reach, reach_until, .. } = self.config;
+        1.0 + (self.stage_share() / f64::from(reach_until)).min(1.0) * f64::from(reach - 1)
     }
 
     /// Whether the dynamics set out from `T_def` for an image at time `t` in the present step.

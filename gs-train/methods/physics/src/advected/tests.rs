@@ -11,6 +11,8 @@ use gs_train::schedule::Schedule;
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 use std::time::Duration;
 
+mod spans;
+
 /// One twist for all particles, one Euler step; turns are not normalised. Simple enough to differentiate by hand.
 struct OneTwist(Param);
 
@@ -69,6 +71,7 @@ impl Dynamics for OneTwist {
 const CONFIG: PhysicsConfig = PhysicsConfig {
     step_frames: 2.0,
     reach: 1,
+    reach_until: 1.0,
     direct: 0.0,
     back_frames: 3.0,
     start: 0.0,
@@ -155,93 +158,6 @@ fn method_of<D: Dynamics>(dynamics: D, config: PhysicsConfig, zero_init: bool) -
 fn splats(method: &impl Method, t: f32) -> Splats {
     let camera = Camera::look_at(8, 8, 0.7, glam::DVec3::Z * 5.0, glam::DVec3::ZERO, glam::DVec3::Y).unwrap();
     method.splats(&Timestamp::new(at(f64::from(t))), &camera).unwrap()
-}
-
-#[test]
-fn training_reads_the_field_on_either_side_and_never_past_its_end() {
-    let mut m = method(CONFIG, true);
-    let mut sides = [0, 0];
-    for step in 200..400 {
-        begin(&mut m, step);
-        let Span { from, to } = m.training_span(0.3, 0);
-        assert!((f64::abs(from - to) - 0.1).abs() < 1e-7);
-        sides[usize::from(from < to)] += 1;
-        assert!(
-            (m.training_span(0.58, 0).from - 0.6).abs() < 1e-7 || (m.training_span(0.58, 0).from - 0.48).abs() < 1e-7
-        );
-    }
-    assert!(sides.iter().all(|n| *n > 25), "{sides:?}");
-    let alike = (200..400).filter(|step| {
-        begin(&mut m, *step);
-        m.training_span(0.3, 0) == m.training_span(0.3, 1)
-    });
-    assert!((50..150).contains(&alike.count()), "each view of a step draws for itself");
-    let still = |t| m.training_span(t, 0).from == t;
-    assert!(still(0.0) && still(0.09) && !still(0.11));
-    assert!((m.training_span(0.75, 0).from - 0.6).abs() < 1e-7);
-    let late = method(PhysicsConfig { start: 0.4, ..CONFIG }, true);
-    assert!(late.training_span(0.29, 0).from == 0.29 && late.training_span(0.31, 0).from >= 0.3 - 1e-7);
-    // A law that begins after the last time of the field is learnt where it draws.
-    let after = method(PhysicsConfig { start: 0.9, ..CONFIG }, true);
-    for t in [0.65, 0.7] {
-        assert_eq!(after.training_span(t, 0), after.render_span(t));
-        assert!((after.training_span(t, 0).from - 0.6).abs() < 1e-7);
-    }
-    let bare = method(PhysicsConfig { field: false, ..CONFIG }, true);
-    assert_eq!(bare.training_span(0.3, 0), Span { from: 0.0, to: 0.3 });
-}
-
-#[test]
-fn a_field_alone_is_read_at_the_time_of_the_photograph() {
-    let mut m = method(CONFIG, true);
-    let mut schedule = schedule();
-    schedule.stages.get_mut("dynamic").unwrap().field_alone = true;
-    m.begin_step(&schedule.at(500));
-    for t in [0.0, 0.3, 0.7] {
-        assert_eq!(m.training_span(t, 0), Span { from: t, to: t });
-    }
-    learn(&mut m, 0.7);
-    assert!(m.dynamics.0.grad.iter().all(|g| *g == 0.0));
-}
-
-#[test]
-fn the_reach_opens_over_the_stage() {
-    let mut m = method(PhysicsConfig { reach: 3, ..CONFIG }, true);
-    // The stage has steps 121 to 1000.
-    let mut lengths = |steps: std::ops::Range<u32>| {
-        let mut lengths = [0; 4];
-        for step in steps {
-            begin(&mut m, step);
-            let Span { from, to } = m.training_span(0.3, 0);
-            lengths[(f64::abs(from - to) / 0.1).round() as usize] += 1;
-        }
-        lengths
-    };
-    let first = lengths(121..141);
-    assert!(first[2] + first[3] <= 2, "{first:?}");
-    let whole = lengths(850..1001);
-    assert!(whole[0] == 0 && whole[1..].iter().all(|n| *n > 25), "{whole:?}");
-}
-
-/// The stage has steps 121 to 1000.
-#[test]
-fn at_the_end_of_the_stage_dynamics_set_out_from_the_last_field_time() {
-    let share = |config: PhysicsConfig, t: f64, steps: std::ops::Range<u32>| {
-        let mut m = method(config, true);
-        let from_end = |step: &u32| {
-            begin(&mut m, *step);
-            m.training_span(t, 0).from == m.times.last_field
-        };
-        steps.clone().filter(from_end).count() as f64 / steps.len() as f64
-    };
-    let settles = PhysicsConfig { settle: 0.25, ..CONFIG };
-    assert_eq!(share(settles, 0.2, 200..780), 0.0, "before");
-    assert_eq!(share(settles, 0.2, 781..1001), 1.0, "every step that the dynamics render");
-    let half = share(PhysicsConfig { direct: 0.5, ..settles }, 0.2, 781..1001);
-    assert!((0.35..0.65).contains(&half), "{half}");
-    // T_def is 0.6, a frame 0.05.
-    let near = PhysicsConfig { settle_frames: 4.0, ..settles };
-    assert_eq!([0.35, 0.4].map(|t| share(near, t, 781..1001)), [0.0, 1.0]);
 }
 
 #[test]
@@ -479,6 +395,7 @@ fn settings_without_effect_are_named() {
 fn impossible_settings_are_named() {
     for (config, name) in [
         (PhysicsConfig { step_frames: 0.0, ..CONFIG }, "step_frames"),
+        (PhysicsConfig { reach_until: 0.0, ..CONFIG }, "reach_until"),
         (PhysicsConfig { back_frames: f32::NAN, ..CONFIG }, "back_frames"),
         (PhysicsConfig { start: 1.0, ..CONFIG }, "start"),
         (PhysicsConfig { slack: -0.1, ..CONFIG }, "slack"),
