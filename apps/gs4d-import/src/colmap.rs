@@ -22,7 +22,9 @@ pub enum CameraModel {
     Radial,
     /// Two focal lengths, `k1 k2 p1 p2`.
     Opencv,
-    /// A fisheye: two focal lengths, `k1 k2 k3 k4`.
+    /// A fisheye: one focal length, `k1 k2`.
+    RadialFisheye,
+    /// A fisheye: two focal lengths, `k1 k2 k3 k4`, which only a wide view determines.
     OpencvFisheye,
 }
 
@@ -35,6 +37,7 @@ impl CameraModel {
             Self::SimpleRadial => "SIMPLE_RADIAL",
             Self::Radial => "RADIAL",
             Self::Opencv => "OPENCV",
+            Self::RadialFisheye => "RADIAL_FISHEYE",
             Self::OpencvFisheye => "OPENCV_FISHEYE",
         }
     }
@@ -43,12 +46,13 @@ impl CameraModel {
     fn parameters(self, [width, height]: [u32; 2], fov: f64) -> String {
         let [w, h] = [width, height].map(f64::from);
         let half = 0.5 * fov.to_radians();
-        let f = 0.5 * w / if self == Self::OpencvFisheye { half } else { half.tan() };
+        let fisheye = matches!(self, Self::RadialFisheye | Self::OpencvFisheye);
+        let f = 0.5 * w / if fisheye { half } else { half.tan() };
         let (focal, distortion) = match self {
             Self::SimplePinhole => (1, 0),
             Self::Pinhole => (2, 0),
             Self::SimpleRadial => (1, 1),
-            Self::Radial => (1, 2),
+            Self::Radial | Self::RadialFisheye => (1, 2),
             Self::Opencv | Self::OpencvFisheye => (2, 4),
         };
         let mut all = vec![f; focal];
@@ -354,6 +358,10 @@ mod tests {
         assert_eq!(CameraModel::SimpleRadial.parameters([200, 100], 90.0), "100.00000000000001,100,50,0");
         let all = CameraModel::Opencv.parameters([200, 100], 90.0);
         assert_eq!(all.split(',').count(), 8);
+        let fisheye = CameraModel::RadialFisheye.parameters([200, 100], 90.0);
+        let fisheye: Vec<f64> = fisheye.split(',').map(|v| v.parse().unwrap()).collect();
+        assert!((fisheye[0] * std::f64::consts::FRAC_PI_4 - 100.0).abs() < 1e-9, "half the angle on half the width");
+        assert_eq!(fisheye[1..], [100.0, 50.0, 0.0, 0.0]);
         assert_eq!(serde_json::to_value(CameraModel::SimplePinhole).unwrap(), CameraModel::SimplePinhole.name());
     }
 }

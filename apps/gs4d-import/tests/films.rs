@@ -218,5 +218,5 @@ fn a_film_through_a_lens_of_opencv() {
 fn a_film_through_a_fisheye() {
     let lens = Lens { fisheye: true, k1: 0.05, k2: -0.01, ..Lens::default() };
     let fov = 2.0 * 0.45f64.tan();
-    film_through(CameraModel::OpencvFisheye, &lens, Some(fov.to_degrees()));
+    film_through(CameraModel::RadialFisheye, &lens, Some(fov.to_degrees()));
 }

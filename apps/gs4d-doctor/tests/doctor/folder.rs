@@ -16,9 +16,10 @@ pub struct Folder(tempfile::TempDir);
 impl Folder {
     /// A copy of a scene made once; `static-opaque`, `balls-opaque` and `falling-opaque` are those scenes without alpha.
     pub fn of(scene: &'static str) -> Self {
+        // A static is never dropped: its folder stays in that of the build.
         static MADE: OnceLock<tempfile::TempDir> = OnceLock::new();
         let all = MADE.get_or_init(|| {
-            let dir = tempfile::tempdir().expect("folder");
+            let dir = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).expect("folder");
             let still = SynthOptions::of_views(96, 60, 4);
             synth::write(&dir.path().join("static"), "static", &still, false).expect("scene");
             synth::write(&dir.path().join("balls"), "balls", &still, false).expect("scene");

@@ -110,6 +110,7 @@ enum LensChoice {
     SimpleRadial,
     Radial,
     Opencv,
+    RadialFisheye,
     OpencvFisheye,
 }
 
@@ -198,6 +199,7 @@ impl ImportVerb {
                 LensChoice::SimpleRadial => CameraModel::SimpleRadial,
                 LensChoice::Radial => CameraModel::Radial,
                 LensChoice::Opencv => CameraModel::Opencv,
+                LensChoice::RadialFisheye => CameraModel::RadialFisheye,
                 LensChoice::OpencvFisheye => CameraModel::OpencvFisheye,
             }),
             same_lens: self.same_lens,

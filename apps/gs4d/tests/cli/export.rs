@@ -12,9 +12,10 @@ const CAMERA: &str = r#"{"width": 48, "height": 48, "fx": 50, "fy": 50, "cx": 24
 
 /// A short run on a moving scene.
 fn run() -> &'static Path {
+    // A static is never dropped: its folder stays in that of the build.
     static MADE: OnceLock<(TempDir, PathBuf)> = OnceLock::new();
     let make = || {
-        let dir = tempfile::tempdir().unwrap();
+        let dir = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
         let (data, run) = (dir.path().join("sheet"), dir.path().join("run"));
         good(&["synth", "sheet", "--size", "48", "-o", text(&data)]);
         let all = ["train", text(&data), "-m", "fourdgs", "--preset", "tiny", "--steps", "200", "-q", "-o"];

@@ -10,9 +10,10 @@ use tempfile::TempDir;
 
 /// A run that has seen three quarters of the sequence.
 fn run() -> &'static Path {
+    // A static is never dropped: its folder stays in that of the build.
     static RUN: OnceLock<(TempDir, PathBuf)> = OnceLock::new();
     let (_, run) = RUN.get_or_init(|| {
-        let dir = tempfile::tempdir().unwrap();
+        let dir = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
         let run = dir.path().join("run");
         train(data(), &run, &["--set", "data.time_boundary=0.75"]);
         (dir, run)

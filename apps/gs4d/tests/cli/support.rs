@@ -67,9 +67,10 @@ struct Shared {
 }
 
 fn shared() -> &'static Shared {
+    // A static is never dropped: its folder stays in that of the build.
     static SHARED: OnceLock<Shared> = OnceLock::new();
     SHARED.get_or_init(|| {
-        let dir = tempfile::tempdir().unwrap();
+        let dir = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
         let (data, run) = (dir.path().join("data"), dir.path().join("run"));
         let views = ["--train-views", "8", "--val-views", "2", "--test-views", "2"];
         good(&[&["synth", "balls", "-o", text(&data), "--size", "48"][..], &views].concat());
