@@ -2,6 +2,9 @@
 //!
 //! A method lists its [`Part`]s; the setting `ablate = "gate,fre"` names those to leave out.
 
+use crate::error::MethodError;
+use crate::registry::parse_config;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 /// A part by its name, and what leaves it out of a configuration.
@@ -34,6 +37,23 @@ impl Ablations {
         leave_out.iter().for_each(|f| f(config));
         Ok(())
     }
+}
+
+/// Reads a method's configuration and leaves out the `parts` that it names; what is read names none. `names` is where a configuration has
+/// its setting `ablate`.
+///
+/// # Errors
+/// Those of [`parse_config`] and of [`Ablations::apply`].
+pub fn read_without<C: DeserializeOwned + Clone + PartialEq>(
+    method: &'static str,
+    table: &toml::Table,
+    parts: &[Part<C>],
+    names: fn(&mut C) -> &mut Ablations,
+) -> Result<C, MethodError> {
+    let mut config: C = parse_config(method, table)?;
+    let ablate = std::mem::take(names(&mut config));
+    ablate.apply(parts, &mut config).map_err(|why| MethodError::Config { method, why })?;
+    Ok(config)
 }
 
 /// What leaves the part of that name out.

@@ -18,17 +18,21 @@
 //! The loop is plain arithmetic without fused multiply-add, compiled once per instruction set: the same bits at every
 //! SIMD level and for every number of threads.
 
-use fearless_simd::{Level, Simd, dispatch};
+mod piece;
+mod refused;
+
+pub use refused::Refused;
+pub(crate) use refused::RefusedRows;
+
+use fearless_simd::Level;
 use gs_core::Param;
+use piece::{Piece, all_finite};
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::ops::Range;
 
 /// Values per parallel piece, roughly: four arrays of this many stay in the first-level cache's neighbour.
 const PIECE: usize = 8192;
-/// Values of a sparse shared block that are looked at together.
-const RUN: usize = 16;
 
 /// Decay rates of Adam's moments, in `[0, 1)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,35 +63,6 @@ pub struct Update {
     pub weight_decay: f32,
     /// The rate rises linearly over so many updates of the block, its first ones; 0: it is whole from the first.
     pub ramp: u32,
-}
-
-/// Gradients met that were not finite.
-#[derive(Clone, Debug, PartialEq, Eq, Default)]
-pub struct Refused {
-    /// Rows of row blocks (the largest count of any block), which were skipped.
-    pub rows: u32,
-    /// Rows in the block of that count.
-    pub of: u32,
-    /// The block of that count, and the first of these rows.
-    pub first: Option<(String, u32)>,
-    /// The first shared block with such a gradient, if any: the run cannot go on.
-    pub shared: Option<String>,
-}
-
-/// Rows of one block whose gradient was not finite, and which were left as they are.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub(crate) struct RefusedRows {
-    /// Number of such rows.
-    pub rows: u32,
-    /// The first of them.
-    pub first: Option<u32>,
-}
-
-impl RefusedRows {
-    /// These and those of later rows of the same block.
-    pub(crate) fn and(self, later: &Self) -> Self {
-        Self { rows: self.rows + later.rows, first: self.first.or(later.first) }
-    }
 }
 
 /// The optimiser: constants, and the number of updates each block has had.
@@ -209,156 +184,6 @@ impl Adam {
     }
 }
 
-impl Refused {
-    /// Adds the rows refused of all of a block.
-    pub(crate) fn add(&mut self, p: &Param, block: &RefusedRows) {
-        if block.rows == 0 {
-            return;
-        }
-        match p.row_count() {
-            None => self.shared = self.shared.take().or_else(|| Some(p.name.clone())),
-            Some(count) if block.rows > self.rows => {
-                (self.rows, self.of) = (block.rows, count as u32);
-                self.first = block.first.map(|row| (p.name.clone(), row));
-            }
-            Some(_) => {}
-        }
-    }
-}
-
-/// A stretch of one block.
-struct Piece<'a> {
-    value: &'a mut [f32],
-    m: &'a mut [f32],
-    v: &'a mut [f32],
-    grad: &'a mut [f32],
-}
-
-impl Piece<'_> {
-    /// Every value, compiled for the instruction set of this machine.
-    fn all(self, level: Level, f: &Factors) {
-        dispatch!(level, simd => update_all(simd, self.value, self.m, self.v, self.grad, f));
-    }
-
-    /// Only values with some gradient.
-    fn touched(self, level: Level, f: &Factors) {
-        dispatch!(level, simd => update_touched(simd, self.value, self.m, self.v, self.grad, f));
-    }
-
-    /// Only rows with some gradient.
-    fn visible(self, level: Level, f: &Factors, width: usize) {
-        dispatch!(level, simd => update_visible(simd, self.value, self.m, self.v, self.grad, f, width));
-    }
-
-    /// Row by row, leaving out those with a gradient that is not finite. Gives their number and the first.
-    fn careful(self, f: &Factors, width: usize, sparse: bool) -> (u32, Option<u32>) {
-        let (mut count, mut first) = (0, None);
-        let width = width.min(self.grad.len());
-        for (r, at) in (0..self.grad.len()).step_by(width).enumerate() {
-            let row = at..(at + width).min(self.grad.len());
-            let grad = &mut self.grad[row.clone()];
-            if !grad.iter().all(|g| (g * g).is_finite()) {
-                count += 1;
-                first = first.or(Some(r as u32));
-            } else if !(sparse && grad.iter().all(|&g| g == 0.0)) {
-                update_row(&mut self.value[row.clone()], &mut self.m[row.clone()], &mut self.v[row], grad, f);
-            }
-            grad.fill(0.0);
-        }
-        (count, first)
-    }
-}
-
-fn all_finite(level: Level, grad: &[f32]) -> bool {
-    dispatch!(level, simd => all_finite_in(simd, grad))
-}
-
-/// `g² · 0` is NaN exactly where `g²` is not finite; the sum keeps it. A second moment would keep the square for ever.
-#[inline(always)]
-fn all_finite_in<S: Simd>(_simd: S, grad: &[f32]) -> bool {
-    let mut lanes = [0.0f32; 16];
-    let (chunks, tail) = grad.as_chunks::<16>();
-    for chunk in chunks {
-        for (l, g) in lanes.iter_mut().zip(chunk) {
-            *l += g * g * 0.0;
-        }
-    }
-    lanes.iter().chain(tail).all(|v| (v * v).is_finite())
-}
-
-#[inline(always)]
-fn update_all<S: Simd>(_simd: S, value: &mut [f32], m: &mut [f32], v: &mut [f32], grad: &mut [f32], f: &Factors) {
-    update_row(value, m, v, grad, f);
-    grad.fill(0.0);
-}
-
-/// Values one by one; runs without any gradient cost one look.
-#[inline(always)]
-fn update_touched<S: Simd>(_simd: S, value: &mut [f32], m: &mut [f32], v: &mut [f32], grad: &mut [f32], f: &Factors) {
-    let ((values, value), (ms, m)) = (value.as_chunks_mut::<RUN>(), m.as_chunks_mut::<RUN>());
-    let ((vs, v), (grads, grad)) = (v.as_chunks_mut::<RUN>(), grad.as_chunks_mut::<RUN>());
-    for (((value, m), v), grad) in values.iter_mut().zip(ms).zip(vs).zip(grads) {
-        // Whole runs, so that the choices below become masked lanes.
-        touch(value, m, v, grad, f);
-    }
-    touch(value, m, v, grad, f);
-}
-
-#[inline(always)]
-fn touch(value: &mut [f32], m: &mut [f32], v: &mut [f32], grad: &mut [f32], f: &Factors) {
-    if all_zero(grad) {
-        return;
-    }
-    for (((p, m), v), g) in value.iter_mut().zip(m).zip(v).zip(grad) {
-        let (mut p2, mut m2, mut v2) = (*p, *m, *v);
-        update_value(&mut p2, &mut m2, &mut v2, *g, f);
-        let rests = *g == 0.0;
-        *p = if rests { *p } else { p2 };
-        *m = if rests { *m } else { m2 };
-        *v = if rests { *v } else { v2 };
-        *g = 0.0;
-    }
-}
-
-#[inline(always)]
-fn update_visible<S: Simd>(
-    _simd: S,
-    value: &mut [f32],
-    m: &mut [f32],
-    v: &mut [f32],
-    grad: &mut [f32],
-    f: &Factors,
-    width: usize,
-) {
-    let rows = value.chunks_exact_mut(width).zip(m.chunks_exact_mut(width));
-    for ((value, m), (v, grad)) in rows.zip(v.chunks_exact_mut(width).zip(grad.chunks_exact_mut(width))) {
-        if !all_zero(grad) {
-            update_row(value, m, v, grad, f);
-            grad.fill(0.0);
-        }
-    }
-}
-
-#[inline(always)]
-fn update_row(value: &mut [f32], m: &mut [f32], v: &mut [f32], grad: &[f32], f: &Factors) {
-    for (((p, m), v), g) in value.iter_mut().zip(m).zip(v).zip(grad) {
-        update_value(p, m, v, *g, f);
-    }
-}
-
-#[inline(always)]
-fn update_value(p: &mut f32, m: &mut f32, v: &mut f32, g: f32, f: &Factors) {
-    *m = f.beta1 * *m + (1.0 - f.beta1) * g;
-    *v = f.beta2 * *v + (1.0 - f.beta2) * (g * g);
-    *p = *p * f.keep - f.rate * *m / (v.sqrt() * f.root + f.eps);
-}
-
-/// All bits but the sign are zero.
-#[inline(always)]
-fn all_zero(grad: &[f32]) -> bool {
-    grad.iter().fold(0, |bits, g| bits | (g.to_bits() << 1)) == 0
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -423,12 +248,6 @@ mod tests {
             assert!((f64::from(decayed.value[1]) / want - 1.0).abs() < 1e-6 && plain.value[1] == -3.0);
         }
         assert_eq!((&decayed.moment1, &decayed.moment2), (&plain.moment1, &plain.moment2));
-    }
-
-    #[test]
-    fn rows_refused_by_several_ranks_are_summed() {
-        let of = |rows, first| RefusedRows { rows, first };
-        assert_eq!(of(0, None).and(&of(1, Some(7))).and(&of(2, Some(700))), of(3, Some(7)));
     }
 
     fn rows() -> Param {

@@ -76,6 +76,10 @@ pub type Grows = Box<dyn Fn(u32) -> bool>;
 /// Reads the rules by which rows grow from a resolved configuration.
 pub type ReadGrowth = fn(&toml::Table) -> Result<Grows, MethodError>;
 
+/// Writes out the effective configuration, with which a run trains, from a resolved one, [`own_settings`]: settings in place of the parts
+/// named in `ablate`, and no learning rates of fields, networks and features that are left out. Both build the same method.
+pub type Effective = fn(&toml::Table) -> Result<toml::Table, MethodError>;
+
 /// Builds a method for a scene from a resolved configuration, [`own_settings`].
 pub type Build = fn(&toml::Table, &SceneInfo) -> Result<Model, MethodError>;
 
@@ -97,6 +101,8 @@ pub struct MethodEntry {
     pub needs_avatar: bool,
     /// When rows grow and are pruned; none where `[schedule.density]` alone says it.
     pub grows: Option<ReadGrowth>,
+    /// How the effective configuration is written out; none where that is the resolved one as it stands.
+    pub effective: Option<Effective>,
     /// Builds the method for a scene from a resolved configuration; [`Self::model`] checks the configuration first.
     pub build: Build,
 }
@@ -123,6 +129,19 @@ impl MethodEntry {
     /// [`MethodError::Domain`].
     pub fn check(&self, config: &toml::Table) -> Result<(), MethodError> {
         domains::check(self.name, config, self.domains)
+    }
+
+    /// The effective configuration: the method's own settings that a run trains with, once parts named in `ablate` of a resolved
+    /// configuration are written out as settings.
+    ///
+    /// # Errors
+    /// If the configuration cannot be read, or names a part in `ablate` that there is not, or that is left out already.
+    pub fn effective(&self, config: &toml::Table) -> Result<toml::Table, MethodError> {
+        let own = own_settings(config.clone());
+        match self.effective {
+            Some(effective) => effective(&own),
+            None => Ok(own),
+        }
     }
 
     /// The filmed person of a data set, if this method needs one.
@@ -192,6 +211,9 @@ pub fn overlay(under: &mut toml::Table, over: toml::Table) {
 }
 
 /// Reads a method's configuration.
+///
+/// # Errors
+/// A setting that is missing, unknown or of another type.
 pub fn parse_config<C: serde::de::DeserializeOwned>(
     method: &'static str,
     table: &toml::Table,
@@ -199,7 +221,18 @@ pub fn parse_config<C: serde::de::DeserializeOwned>(
     table.clone().try_into().map_err(|e: toml::de::Error| MethodError::Config { method, why: e.to_string() })
 }
 
+/// Writes a method's configuration, the inverse of [`parse_config`].
+///
+/// # Errors
+/// If it holds what TOML does not.
+pub fn write_config<C: serde::Serialize>(method: &'static str, config: &C) -> Result<toml::Table, MethodError> {
+    toml::Table::try_from(config).map_err(|e| MethodError::Config { method, why: e.to_string() })
+}
+
 /// Reads one section of a configuration.
+///
+/// # Errors
+/// If it is missing, or those of [`parse_config`].
 pub fn section<C: serde::de::DeserializeOwned>(
     method: &'static str,
     config: &toml::Table,

@@ -45,11 +45,12 @@ pub struct Timeline {
 
 impl Timeline {
     /// Reads the section `[schedule]`, where methods may have settings of their own, and, of methods with a cloud, `[cloud.kernel]`,
-    /// of which only some parameters learn.
+    /// of which only some parameters learn; both of the effective configuration, without the parts that `ablate` names.
     ///
     /// # Errors
-    /// If `[schedule]` is missing or cannot be read, or the section of a method by which rows grow.
+    /// If `[schedule]` is missing or cannot be read, or the section of a method by which rows grow; those of [`MethodEntry::effective()`].
     pub fn of(entry: &MethodEntry, settings: &Table) -> Result<Self, MethodError> {
+        let settings = &entry.effective(settings)?;
         let mut timeline: Self = section(entry.name, settings, "schedule")?;
         if let Some(cloud) = settings.get("cloud") {
             let kernel = cloud.get("kernel").cloned().and_then(|kernel| kernel.try_into::<KernelConfig>().ok());
@@ -189,6 +190,7 @@ mod tests {
         domains: &[],
         needs_avatar: false,
         grows: None,
+        effective: None,
         build: |_, _| unreachable!("only its settings are read"),
     };
 

@@ -12,6 +12,10 @@ const PLAN_SIZE: usize = 420;
 const MAX_FIGURES: usize = 3;
 /// Most points plotted in a figure.
 const MAX_POINTS: usize = 4000;
+/// Most cameras plotted in a plan.
+const MAX_CAMERAS: usize = 200;
+/// Most lines between pixels of two images.
+const MAX_MARKS: usize = 120;
 
 const GREEN: [f32; 3] = [0.2, 0.8, 0.35];
 const RED: [f32; 3] = [0.95, 0.25, 0.2];
@@ -21,8 +25,7 @@ const GREY: [f32; 3] = [0.6, 0.6, 0.65];
 /// Every figure except that of matched corners.
 pub(super) fn all(data: &Dataset, small_images: &ImageCache, silhouettes: Option<&Silhouettes>) -> Vec<Figure> {
     let mut out: Vec<Figure> = silhouettes.into_iter().flat_map(|s| hulls(data, s)).collect();
-    let count = data.train.len().min(MAX_FIGURES);
-    let chosen = (0..count).map(|k| &data.train[(2 * k + 1) * data.train.len() / (2 * count)]);
+    let chosen = gs_data::evenly(data.train.len(), MAX_FIGURES).map(|k| &data.train[k]);
     if let Some(points) = &data.points {
         out.extend(chosen.filter_map(|v| dotted(v, &points.positions, small_images)));
     }
@@ -44,8 +47,7 @@ fn hulls(data: &Dataset, s: &Silhouettes) -> Vec<Figure> {
         );
         Figure { topic: "poses", caption, image: out }
     };
-    let count = n.min(MAX_FIGURES);
-    (0..count).map(|k| show((2 * k + 1) * n / (2 * count))).collect()
+    gs_data::evenly(n, MAX_FIGURES).map(show).collect()
 }
 
 /// An image with what should cover its silhouette: green inside both, red in the silhouette alone, blue outside it.
@@ -78,12 +80,9 @@ fn dotted(v: &View, points: &[Vec3], small_images: &ImageCache) -> Option<Figure
     let mut image = small_images.get(v).ok()?.over([0.12; 3]);
     image.data.iter_mut().for_each(|c| *c *= 0.6);
     let camera = small_images.camera(v);
-    let step = points.len().div_ceil(MAX_POINTS).max(1);
     let mut inside = 0usize;
-    let seen: Vec<(DVec2, f64)> = points
-        .iter()
-        .step_by(step)
-        .map(|p| camera.to_camera(p.as_dvec3()))
+    let seen: Vec<(DVec2, f64)> = gs_data::evenly(points.len(), MAX_POINTS)
+        .map(|k| camera.to_camera(points[k].as_dvec3()))
         .filter(|c| c.z > 0.0)
         .map(|c| (camera.to_pixel(c), c.z))
         .collect();
@@ -97,7 +96,7 @@ fn dotted(v: &View, points: &[Vec3], small_images: &ImageCache) -> Option<Figure
     let caption = format!(
         "{}: {inside} of {} points fall into it (near ones red, far ones blue)",
         v.name,
-        points.len().div_ceil(step)
+        points.len().min(MAX_POINTS)
     );
     Some(Figure { topic: "init", caption, image })
 }
@@ -133,12 +132,13 @@ fn plan(data: &Dataset, points: &[Vec3], [i, j]: [usize; 2]) -> Image {
         put(p)
     });
     (0..4).for_each(|k| line(&mut image, box_corners[k], box_corners[(k + 1) % 4], GREY));
-    points.iter().step_by(points.len().div_ceil(MAX_POINTS).max(1)).for_each(|p| {
-        dot(&mut image, put(p.as_dvec3()), GREEN);
-    });
-    for (v, c) in data.train.iter().zip(&centres).step_by(data.train.len().div_ceil(200)) {
-        line(&mut image, put(*c), put(*c + 0.08 * size * v.camera.forward()), BLUE.map(|v| 0.6 * v));
-        dot(&mut image, put(*c), BLUE);
+    for k in gs_data::evenly(points.len(), MAX_POINTS) {
+        dot(&mut image, put(points[k].as_dvec3()), GREEN);
+    }
+    for k in gs_data::evenly(centres.len(), MAX_CAMERAS) {
+        let (c, forward) = (centres[k], data.train[k].camera.forward());
+        line(&mut image, put(c), put(c + 0.08 * size * forward), BLUE.map(|v| 0.6 * v));
+        dot(&mut image, put(c), BLUE);
     }
     image
 }
@@ -158,7 +158,7 @@ pub(super) fn side_by_side(a: &Image, b: &Image, marks: &[([DVec2; 2], bool)]) -
         }
     }
     let shift = DVec2::new(a.width as f64, 0.0);
-    for ([p, q], agrees) in marks.iter().step_by(marks.len().div_ceil(120).max(1)) {
+    for ([p, q], agrees) in gs_data::evenly(marks.len(), MAX_MARKS).map(|k| &marks[k]) {
         line(&mut out, *p, *q + shift, if *agrees { GREEN } else { RED });
     }
     out

@@ -33,17 +33,20 @@ pub(super) struct Silhouettes {
     better: Option<(PoseReading, f64)>,
 }
 
-/// As [`check`], without the views whose image or mask cannot be read: they go from `data`, and a finding names them. Where
-/// a sample of the images was read, these are others. Of more than [`MAX_PLACES`] there are no silhouettes.
+/// As [`check`], without the views whose image or mask cannot be read: they go from `data`, and a finding names and counts them. Where
+/// a sample of the images was read, these are others. Of more than [`MAX_PLACES`] there are no silhouettes, and what was not read by then
+/// is not counted.
 pub(super) fn of_readable(data: &mut Dataset, images: Option<&ImageCache>) -> (Option<Silhouettes>, Option<Finding>) {
     let mut faults: Vec<DataError> = Vec::new();
     let (found, outcome) = loop {
         match check(data, images) {
             Ok(found) => break (found, "their views are left out"),
-            Err(e) => {
-                let goes_on = faults.len() < MAX_PLACES && leave_out(data, &e);
-                faults.push(e);
-                if !goes_on {
+            Err(errors) => {
+                // Views that share a mask go with the first of its errors.
+                let (left_out, others): (Vec<_>, Vec<_>) = errors.into_iter().partition(|e| leave_out(data, e));
+                let goes_on = !left_out.is_empty();
+                faults.extend(if goes_on { left_out } else { others });
+                if !goes_on || faults.len() > MAX_PLACES {
                     break (None, "no silhouettes are compared");
                 }
             }
@@ -75,8 +78,8 @@ fn leave_out(data: &mut Dataset, e: &DataError) -> bool {
 /// Carves the training views, and adds those held out; none where there are neither alpha nor masks. `images` may hold reduced images.
 ///
 /// # Errors
-/// Those of decoding an image or a mask.
-pub(super) fn check(data: &Dataset, images: Option<&ImageCache>) -> Result<Option<Silhouettes>, DataError> {
+/// Those of decoding images and masks: of all training views that cannot be read, or else of all that are held out.
+pub(super) fn check(data: &Dataset, images: Option<&ImageCache>) -> Result<Option<Silhouettes>, Vec<DataError>> {
     let Some(carved) = carve(data, AGREEMENT, images)? else { return Ok(None) };
     // Masks of what must not count, or alpha that is 1, are no outlines of an object.
     let filled = |s: &Silhouette| {
@@ -87,11 +90,18 @@ pub(super) fn check(data: &Dataset, images: Option<&ImageCache>) -> Result<Optio
         return Ok(None);
     }
     let mut shapes: Vec<(Split, Silhouette)> = carved.silhouettes.iter().map(|s| (Split::Train, s.clone())).collect();
+    let mut errors = Vec::new();
     for split in [Split::Val, Split::Test] {
         let views = data.views(split);
         if views.iter().any(|v| data.has_alpha || v.mask.is_some()) {
-            shapes.extend(carved.silhouettes_of(views, images)?.into_iter().map(|s| (split, s)));
+            match carved.silhouettes_of(views, images) {
+                Ok(of_split) => shapes.extend(of_split.into_iter().map(|s| (split, s))),
+                Err(of_split) => errors.extend(of_split),
+            }
         }
+    }
+    if !errors.is_empty() {
+        return Err(errors);
     }
     let fits = covered(&carved);
     let now = mean(&fits);
@@ -181,16 +191,29 @@ mod tests {
         let spoil = |v: &mut View, name: &str| {
             (v.name, v.image) = (name.to_owned(), ImageSource::Memory(wrong.clone()));
         };
-        spoil(&mut data.train[3], "bad training view");
-        spoil(&mut data.test[1], "bad test view");
-        let (found, finding) = of_readable(&mut data, None);
+        // Each is decoded, even of memory.
+        let views = data.train.iter_mut().chain(&mut data.test);
+        views.for_each(|v| v.stored = Some([v.camera.width, v.camera.height]));
+        let (of_train, of_test) = ([3, 7, 11], [1, 2]);
+        let name_of = |split: Split, k: usize| format!("bad view {k} of {split:?}");
+        of_train.iter().for_each(|&k| spoil(&mut data.train[k], &name_of(Split::Train, k)));
+        of_test.iter().for_each(|&k| spoil(&mut data.test[k], &name_of(Split::Test, k)));
+        let images = ImageCache::new(0, 1.0);
+        let (found, finding) = of_readable(&mut data, Some(&images));
         let (found, finding) = (found.expect("a hull"), finding.expect("a finding"));
         assert_eq!((finding.code, finding.verdict), ("data.image_size", Verdict::Problem));
-        let names = ["bad training view", "bad test view"];
-        assert!(finding.places.len() == 2 && names.iter().zip(&finding.places).all(|(n, p)| p.starts_with(*n)));
-        assert_eq!((data.train.len(), data.test.len()), (train - 1, test - 1));
+        let names =
+            of_train.map(|k| name_of(Split::Train, k)).into_iter().chain(of_test.map(|k| name_of(Split::Test, k)));
+        for name in names {
+            assert!(finding.places.iter().any(|place| place.starts_with(&name)), "{name}: {:?}", finding.places);
+        }
+        assert_eq!(finding.places.len(), of_train.len() + of_test.len());
+        assert_eq!((data.train.len(), data.test.len()), (train - 3, test - 2));
         let of = |split: Split| found.shapes.iter().filter(|s| s.0 == split).count();
-        assert_eq!((of(Split::Train), of(Split::Test)), (train - 1, test - 1));
+        assert_eq!((of(Split::Train), of(Split::Test)), (train - 3, test - 2));
+        // One pass finds all training views that cannot be read, another all held-out ones, a third reads what is left.
+        let left = (data.train.len() + data.test.len()) as u64;
+        assert!((2 * left..=3 * left).contains(&images.decoded()), "{} of {left}", images.decoded());
         let (again, none) = of_readable(&mut data, None);
         assert!(again.is_some() && none.is_none());
     }

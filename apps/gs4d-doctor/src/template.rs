@@ -4,23 +4,22 @@
 //! of the person. Outlines that are off everywhere mean another pose, scale or camera; the same measure with the poses
 //! of other frames tells clocks, and by the joint that moves a part of the outline which joint is off.
 
+mod compare;
+mod outlines;
+mod silhouette;
+
+pub use outlines::{CameraOutlines, JointOutlines, Outlines};
+
 use super::figures::tinted;
 use super::{Figure, Finding, Verdict, median};
-use glam::{DVec2, DVec3, Vec3};
-use gs_core::Camera;
-use gs_data::avatar::{AvatarFrame, AvatarScene};
-use gs_data::{Dataset, ImageCache, ImageU8, View};
-use gs_texel::surface::NONE;
-use gs_texel::zbuffer::face_map;
+use compare::{Apart, Compared, SHIFTS, compare, later};
+use glam::Vec3;
+use gs_data::avatar::AvatarScene;
+use gs_data::{Dataset, ImageCache};
 use rayon::prelude::*;
-use serde::Serialize;
+use silhouette::{Drawn, Shown, compared, dominant, draw, silhouettes};
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::Arc;
 
-/// Most frames that are compared, spread evenly.
-const MAX_FRAMES: usize = 12;
-/// Frames by which poses may be early or late.
-const SHIFTS: std::ops::RangeInclusive<isize> = -4..=4;
 /// Mean distance of outlines, as a share of the template's size: up to the first it fits, above the second it does not.
 const GOOD_SHARE: f64 = 0.01;
 const BAD_SHARE: f64 = 0.03;
@@ -33,54 +32,8 @@ const CLEARLY: f64 = 0.6;
 const CLEAR_SHARE: f64 = 0.003;
 /// A camera is off if its outlines are farther apart than usual by this factor.
 const ODD_CAMERA: f64 = 2.0;
-/// Near plane of the template's silhouette, metres.
-const NEAR: f64 = 0.05;
 /// Joints and views named.
 const NAMED: usize = 3;
-
-/// How far the outlines of the posed template are from those of the images, whatever the verdict.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Outlines {
-    /// Means over the compared views of each camera.
-    pub cameras: Vec<CameraOutlines>,
-    /// Means over the parts of the outline that each joint moves, over all compared views; farthest first.
-    pub joints: Vec<JointOutlines>,
-}
-
-/// Outlines in one camera.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct CameraOutlines {
-    /// Number of the camera.
-    pub camera: u32,
-    /// Number of views compared.
-    pub views: usize,
-    /// Mean distance, metres.
-    pub metres: f64,
-}
-
-/// Outlines that one joint moves.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct JointOutlines {
-    /// Name of the joint.
-    pub joint: String,
-    /// Mean distance, metres.
-    pub metres: f64,
-}
-
-impl Outlines {
-    /// A text table of both, centimetres.
-    pub fn text(&self) -> String {
-        let mut out = format!("{:<24}{:>6}{:>9}\n", "outlines in camera", "views", "cm apart");
-        for CameraOutlines { camera, views, metres } in &self.cameras {
-            out.push_str(&format!("{camera:<24}{views:>6}{:>9.2}\n", 100.0 * metres));
-        }
-        out.push_str(&format!("{:<24}{:>15}\n", "outlines moved by joint", "cm apart"));
-        for JointOutlines { joint, metres } in &self.joints {
-            out.push_str(&format!("{joint:<24}{:>15.2}\n", 100.0 * metres));
-        }
-        out
-    }
-}
 
 /// What the check found.
 #[derive(Default)]
@@ -89,32 +42,6 @@ pub(super) struct Checked {
     pub(super) figures: Vec<Figure>,
     /// None of data without a person, or without silhouettes.
     pub(super) outlines: Option<Outlines>,
-}
-
-/// What a view shows of the person.
-struct Shown {
-    camera_id: u32,
-    /// Row of the frame among those compared.
-    frame: usize,
-    name: String,
-    camera: Camera,
-    image: Arc<ImageU8>,
-    outline: Vec<DVec2>,
-}
-
-/// The template in a view.
-struct Drawn {
-    covered: Vec<bool>,
-    /// Outline pixels with the joint that moves the surface there.
-    outline: Vec<(DVec2, u32)>,
-    /// Side of a pixel at the depth of the person, metres.
-    pixel: f64,
-}
-
-/// How far the outlines of a view are apart, metres, and the same of parts of the template's outline by joint.
-struct Apart {
-    mean: f64,
-    joints: Vec<(u32, f64)>,
 }
 
 /// Compares template and images; nothing of data without a person.
@@ -131,53 +58,6 @@ pub(super) fn check(data: &Dataset, small_images: &ImageCache) -> Checked {
     }
     let check = Check::new(scene, &rows, shown);
     Checked { findings: check.findings(), figures: check.figures(), outlines: Some(check.outlines()) }
-}
-
-/// Rows of the frames that are compared.
-fn compared(scene: &AvatarScene) -> Vec<usize> {
-    let count = scene.frames.len().min(MAX_FRAMES);
-    (0..count).map(|k| (2 * k + 1) * scene.frames.len() / (2 * count)).collect()
-}
-
-/// The views of the compared frames that show an outline: those of conditioning cameras, then training views.
-fn silhouettes(data: &Dataset, scene: &AvatarScene, rows: &[usize], small_images: &ImageCache) -> Vec<Shown> {
-    let number = |at: &AvatarFrame| rows.iter().position(|&r| scene.frames[r].number == at.number);
-    let own = rows.iter().enumerate().flat_map(|(k, &r)| scene.frames[r].inputs.iter().map(move |v| (k, v)));
-    let others = data.train.iter().filter_map(|v| number(scene.frame_at(v.time)).map(|k| (k, v)));
-    let mut views: BTreeMap<(u32, usize), &View> = BTreeMap::new();
-    own.chain(others).for_each(|(k, v)| {
-        views.entry((v.camera_id, k)).or_insert(v);
-    });
-    let show = |((camera_id, frame), v): ((u32, usize), &View)| {
-        let image = AvatarScene::input_pixels(v, small_images).ok()?;
-        let inside: Vec<bool> = image.data.chunks_exact(4).map(|p| p[3] > 127).collect();
-        let outline = outline(&inside, image.width);
-        let camera = small_images.camera(v);
-        (!outline.is_empty()).then(|| Shown { camera_id, frame, name: v.name.clone(), camera, image, outline })
-    };
-    views.into_par_iter().filter_map(show).collect()
-}
-
-/// Pixels inside that have a neighbour outside, not counting the border of the image, where a silhouette is cut.
-fn outline(inside: &[bool], width: usize) -> Vec<DVec2> {
-    let height = inside.len() / width.max(1);
-    let at = |x: usize, y: usize| inside[y * width + x];
-    let mut out = Vec::new();
-    for y in 1..height.saturating_sub(1) {
-        for x in 1..width - 1 {
-            if at(x, y) && !(at(x - 1, y) && at(x + 1, y) && at(x, y - 1) && at(x, y + 1)) {
-                out.push(DVec2::new(x as f64, y as f64));
-            }
-        }
-    }
-    out
-}
-
-/// Row of the nearest of some points, of which there is one at least, and its distance, pixels.
-fn nearest(to: DVec2, among: &[DVec2]) -> (usize, f64) {
-    let squares = among.iter().map(|p| p.distance_squared(to)).enumerate();
-    let (row, square) = squares.fold((0, f64::INFINITY), |best, other| if other.1 < best.1 { other } else { best });
-    (row, square.sqrt())
 }
 
 /// The comparison of all views at their own frames, and with the poses of other frames.
@@ -444,86 +324,6 @@ fn camera_clocks(late: &[(u32, isize)]) -> Finding {
     let places = late.iter().map(|(c, by)| format!("camera {c}: {by:+} frames"));
     let finding = Finding::new("template", "template.clock", Verdict::Problem, what);
     finding.at(places).fix("renumber the images of these cameras, or leave them out")
-}
-
-/// The joint with the largest weight at each vertex.
-fn dominant(scene: &AvatarScene) -> Vec<u32> {
-    let t = &scene.character.template;
-    let joint = |v: usize| t.weights.row(v).max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |w| w.0);
-    (0..t.vertices.len()).map(joint).collect()
-}
-
-/// The silhouette of a posed template.
-fn draw(scene: &AvatarScene, surface: &[Vec3], joints: &[u32], camera: &Camera) -> Drawn {
-    let faces = &scene.character.template.faces;
-    let nearest = face_map(surface, faces, camera, NEAR);
-    let covered: Vec<bool> = nearest.iter().map(|f| *f != NONE).collect();
-    let width = camera.width as usize;
-    let joint = |p: &DVec2| {
-        let face = nearest[gs_core::cast::to_usize(p.y) * width + gs_core::cast::to_usize(p.x)];
-        joints[faces[face as usize][0] as usize]
-    };
-    let middle = surface.iter().map(|v| v.as_dvec3()).sum::<DVec3>() / surface.len().max(1) as f64;
-    let depth = camera.to_camera(middle).z;
-    // A camera inside or behind the template sees no outline of it.
-    let outline = if depth > NEAR { outline(&covered, width) } else { Vec::new() };
-    let outline = outline.into_iter().map(|p| (p, joint(&p))).collect();
-    Drawn { covered, outline, pixel: depth.max(NEAR) / camera.fx }
-}
-
-/// The row of a frame so many frames later, if there is one among `count`.
-fn later(row: usize, by: isize, count: usize) -> Option<usize> {
-    row.checked_add_signed(by).filter(|r| *r < count)
-}
-
-/// Of a view: the template with the pose of its own frame, how far apart they are, and how far with the poses of [`SHIFTS`].
-type Compared = (Drawn, (Apart, Vec<f64>));
-
-/// Compares the views of one camera, ascending in their frames, of which there are `count`. `draw` gives the template with the
-/// pose of a frame; it is asked once for each.
-fn compare(views: &[Shown], rows: &[usize], count: usize, draw: impl Fn(usize) -> Drawn + Sync) -> Vec<Compared> {
-    let own: BTreeSet<usize> = views.iter().map(|s| rows[s.frame]).collect();
-    let all: BTreeSet<usize> = own.iter().flat_map(|&row| SHIFTS.filter_map(move |by| later(row, by, count))).collect();
-    let pose = |row: usize| {
-        let drawn = draw(row);
-        // Figures show the own frame alone.
-        let covered = if own.contains(&row) { drawn.covered } else { Vec::new() };
-        (row, Drawn { covered, ..drawn })
-    };
-    let poses: BTreeMap<usize, Drawn> = all.into_par_iter().map(pose).collect();
-    let hold = |s: &Shown| {
-        let row = rows[s.frame];
-        let far = |row: usize| apart(s, &poses[&row]);
-        let own = far(row);
-        let at =
-            |by: isize| if by == 0 { own.mean } else { later(row, by, count).map_or(f64::INFINITY, |r| far(r).mean) };
-        let shifted = SHIFTS.map(at).collect::<Vec<f64>>();
-        (own, shifted)
-    };
-    let held: Vec<(Apart, Vec<f64>)> = views.par_iter().map(hold).collect();
-    poses.into_iter().filter(|(row, _)| own.contains(row)).map(|(_, drawn)| drawn).zip(held).collect()
-}
-
-/// How far the outlines of image and template are apart. A template that is not in the frame is as far as the frame is wide.
-/// A point of the image's outline counts for the joint of the nearest point of the template's.
-fn apart(s: &Shown, d: &Drawn) -> Apart {
-    if d.outline.is_empty() {
-        return Apart { mean: d.pixel * f64::from(s.camera.width), joints: Vec::new() };
-    }
-    let points: Vec<DVec2> = d.outline.iter().map(|p| p.0).collect();
-    let there = d.outline.iter().map(|(p, joint)| (*joint, nearest(*p, &s.outline).1));
-    let back = s.outline.iter().map(|p| nearest(*p, &points)).map(|(k, far)| (d.outline[k].1, far));
-    let mut joints: BTreeMap<u32, (f64, usize)> = BTreeMap::new();
-    let mut means = [0.0; 2];
-    let both = there.map(|p| (0, d.outline.len(), p)).chain(back.map(|p| (1, s.outline.len(), p)));
-    for (way, count, (joint, far)) in both {
-        means[way] += far * d.pixel / count as f64;
-        let (sum, count) = joints.entry(joint).or_default();
-        *sum += far * d.pixel;
-        *count += 1;
-    }
-    let joints = joints.into_iter().map(|(joint, (sum, n))| (joint, sum / n as f64)).collect();
-    Apart { mean: 0.5 * (means[0] + means[1]), joints }
 }
 
 #[cfg(test)]

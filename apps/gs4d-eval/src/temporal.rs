@@ -6,8 +6,8 @@
 
 use crate::folders::VideoScore;
 use gs_data::{DataError, Dataset, Split, View};
-use gs_metrics::Quantise;
-use gs_metrics::{MetricError, Tof, TofOptions};
+pub use gs_metrics::MetricError;
+use gs_metrics::{Quantise, Tof, TofOptions};
 use gs_train::cameras::Correction;
 use gs_train::evaluate::{EvalError, Scoring, place};
 use gs_train::method::MethodError;

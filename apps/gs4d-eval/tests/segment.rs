@@ -347,6 +347,24 @@ fn cameras_that_are_not_quite_together_see_one_motion() {
 }
 
 #[test]
+fn of_five_cameras_four_see_the_motion() {
+    let cast = Cast::new("balls", None);
+    let tracked_by = |cameras: u32| {
+        let of = |camera_id| {
+            let mut view = cast.data.dataset.train[0].clone();
+            view.camera_id = camera_id;
+            view
+        };
+        let mut dataset = cast.data.dataset.without_views();
+        dataset.train = (0..cameras).map(of).collect();
+        scene_complexity(&cast.model(), &dataset).unwrap().tracks
+    };
+    let one = tracked_by(1);
+    assert!(one > 0);
+    assert_eq!(tracked_by(5), 4 * one);
+}
+
+#[test]
 fn the_strongest_part_or_the_background_is_shown() {
     let camera = Camera::look_at(16, 16, 0.7, DVec3::new(0.0, 0.0, -4.0), DVec3::ZERO, DVec3::Y).unwrap();
     let splats = |opacities: [f32; 2]| Splats {

@@ -1,5 +1,6 @@
 //! A scene as tracks: made from frames, evaluated at any time, as bytes.
 
+use crate::PlayerError;
 use crate::fit::{Bounds, add};
 use crate::frames::{Frames, Tolerance, aligned, mean_coefficient, sizes};
 use crate::stream::{Reader, Writer};
@@ -7,6 +8,7 @@ use crate::track::Track;
 use crate::words::{knot, unit};
 use glam::Vec3;
 use gs_core::{Camera, Color, Kernel, Splats, cast, rot, sh};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 /// Steps of an SH coefficient in 1.
@@ -84,11 +86,38 @@ struct Head {
     render_settings: RenderSettings,
 }
 
+/// The key of a head that says which others there may be.
+#[derive(Deserialize)]
+struct HeadVersion {
+    version: u32,
+}
+
 const VERSION: u32 = 1;
 /// Components of each track.
 const WIDTHS: [usize; 5] = [3, 4, 3, 1, 3];
 /// Most splats of a clip.
 const MOST: usize = 1 << 24;
+
+impl Head {
+    /// Reads the head, its version before anything else.
+    fn read(from: &mut Reader<'_>) -> Result<Self, PlayerError> {
+        let length = from.unsigned().map_err(PlayerError::Damaged)? as usize;
+        let text = from.bytes(length).map_err(PlayerError::Damaged)?;
+        let HeadVersion { version } = from_head(text)?;
+        match version {
+            VERSION => from_head(text),
+            other => Err(PlayerError::OtherVersion(format!("version {other}, not {VERSION}"))),
+        }
+    }
+}
+
+/// Reads what is known of a head. Text that is JSON and does not hold it is of another version.
+fn from_head<T: DeserializeOwned>(text: &[u8]) -> Result<T, PlayerError> {
+    serde_json::from_slice(text).map_err(|e| match e.is_data() {
+        true => PlayerError::OtherVersion(e.to_string()),
+        false => PlayerError::Damaged(e.to_string()),
+    })
+}
 
 impl Clip {
     /// The frames within a tolerance, as the nearest of `cameras` sees them.
@@ -243,13 +272,17 @@ impl Clip {
     }
 
     /// Reads [`Self::bytes`].
-    pub(crate) fn parse(bytes: &[u8]) -> Result<Self, String> {
+    pub(crate) fn parse(bytes: &[u8]) -> Result<Self, PlayerError> {
         let mut from = Reader(bytes);
-        let length = from.unsigned()? as usize;
-        let head: Head = serde_json::from_slice(from.bytes(length)?).map_err(|e| e.to_string())?;
+        let head = Head::read(&mut from)?;
+        Self::behind(head, from).map_err(PlayerError::Damaged)
+    }
+
+    /// Reads what follows a head.
+    fn behind(head: Head, mut from: Reader<'_>) -> Result<Self, String> {
         let (count, frames) = (head.count, head.times.len());
-        if head.version != VERSION || head.degree.is_some_and(|d| d > sh::MAX_DEGREE) {
-            return Err(format!("version {}, degree {:?}", head.version, head.degree));
+        if let Some(degree) = head.degree.filter(|d| *d > sh::MAX_DEGREE) {
+            return Err(format!("harmonics of degree {degree}"));
         }
         if count > MOST || frames == 0 || frames > usize::from(u16::MAX) || !head.times.is_sorted_by(|a, b| a < b) {
             return Err(format!("{count} splats at {frames} times"));
@@ -354,9 +387,9 @@ fn unplaned(from: &mut Reader<'_>, count: usize, width: usize) -> Result<Vec<u8>
 mod tests {
     use super::*;
 
-    /// Settings under a name that is not known would be read as the default.
+    /// Settings under a name that is not known would be read as the default, so they are refused.
     #[test]
-    fn unknown_keys_of_the_head_are_refused() {
+    fn heads_of_other_versions_are_told_from_damaged_ones() {
         let splats = Splats {
             means: vec![Vec3::Z],
             quats: vec![[1.0, 0.0, 0.0, 0.0]],
@@ -368,11 +401,29 @@ mod tests {
         let frames = Frames::new(vec![0.0], vec![splats]).unwrap();
         let settings = RenderSettings { near: 0.2, dilation: 0.1, antialias: true };
         let clip = Clip::fit(&frames, &[], Tolerance::default()).with_render_settings(settings);
-        let mut bytes = clip.bytes().unwrap();
-        assert_eq!(Clip::parse(&bytes), Ok(clip));
-        let key = b"render_settings";
-        let at = bytes.windows(key.len()).position(|w| w == key).unwrap();
-        bytes[at] = b'R';
-        assert!(Clip::parse(&bytes).unwrap_err().contains("unknown field `Render_settings`"));
+        let bytes = clip.bytes().unwrap();
+        assert_eq!(Clip::parse(&bytes).unwrap(), clip);
+        // The same length, so that the head stays as long as it says.
+        let with = |[old, new]: [&str; 2]| {
+            let at = bytes.windows(old.len()).position(|w| w == old.as_bytes()).unwrap();
+            let mut bytes = bytes.clone();
+            bytes[at..at + old.len()].copy_from_slice(new.as_bytes());
+            Clip::parse(&bytes).unwrap_err()
+        };
+        for (change, what) in [
+            (["render_settings", "drawing_options"], "unknown field `drawing_options`"),
+            (["\"count\"", "\"tally\""], "unknown field `tally`"),
+            (["\"version\"", "\"edition\""], "missing field `version`"),
+            (["\"version\":1", "\"version\":2"], "version 2, not 1"),
+            (["\"version\":1,\"count\"", "\"version\":2,\"tally\""], "version 2, not 1"),
+        ] {
+            let e = with(change);
+            assert!(matches!(&e, PlayerError::OtherVersion(why) if why.contains(what)), "{e}");
+            assert!(e.to_string().contains("export it again from the run"), "{e}");
+        }
+        for change in [["{\"version\"", "{:version\""], ["\"degree\":null", "\"degree\":  99"]] {
+            let e = with(change);
+            assert!(matches!(&e, PlayerError::Damaged(_)), "{e}");
+        }
     }
 }

@@ -115,7 +115,7 @@ impl Page {
 /// The clip of a page. It takes at most 64 times as many bytes as it is packed in, and 48 MiB.
 ///
 /// # Errors
-/// A page without one, or a damaged one.
+/// A page without one, one of another version, or a damaged one.
 pub fn read(html: &str) -> Result<Clip, PlayerError> {
     let wrong = |what: &str| PlayerError::Damaged(what.to_owned());
     let text = html.split_once(MARKS[0]).and_then(|(_, rest)| rest.split_once(MARKS[1]));
@@ -124,7 +124,7 @@ pub fn read(html: &str) -> Result<Clip, PlayerError> {
     let mut bytes = Vec::new();
     let most = MOST[0] * packed.len() as u64 + MOST[1];
     DeflateDecoder::new(packed.as_slice()).take(most).read_to_end(&mut bytes).map_err(|e| wrong(&e.to_string()))?;
-    Clip::parse(&bytes).map_err(|e| wrong(&e))
+    Clip::parse(&bytes)
 }
 
 fn deflated(bytes: &[u8]) -> Result<Vec<u8>, PlayerError> {

@@ -7,204 +7,28 @@
 //! A table that is known to be old names the preset in `older_than`, and its document the commit. Where the document says so, an entry has the kind of
 //! scenes and how its cells show the spread of the seeds.
 
+mod finding;
+mod listed;
+mod markdown;
+mod presets;
+
+pub use finding::Finding;
+pub use listed::{Listed, Scenes, Spread};
+pub use markdown::Found;
+
 use gs_core::io::{IoError, Limits, read_text};
 use gs_train::registry::Registry;
 use gs4d_run::RunError;
-use gs4d_run::config::{Config, ConfigError};
-use gs4d_run::settings::with_preset;
+use gs4d_run::config::ConfigError;
+use markdown::tables;
+use presets::Presets;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
-use std::fmt;
 use std::path::{Path, PathBuf};
-
-/// A table of figures as `docs/tables.toml` lists it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Listed {
-    /// The document, relative to the repository.
-    pub file: String,
-    /// How the first line of the table begins; one table of the document begins so.
-    pub head: String,
-    /// The command that measured it.
-    pub command: String,
-    /// The commit it was measured at, of several the oldest; where it was not written down, the first that has the figures.
-    #[serde(default)]
-    pub commit: Option<String>,
-    /// Whether its figures follow from definitions: nothing was measured, and no commit is needed.
-    #[serde(default)]
-    pub exact: bool,
-    /// Seeds of the runs; empty where nothing is drawn by chance.
-    #[serde(default)]
-    pub seeds: Vec<u64>,
-    /// `METHOD:PRESET` and the digest of its settings.
-    #[serde(default)]
-    pub presets: BTreeMap<String, String>,
-    /// `METHOD:PRESET` that the trainings had and that has changed since.
-    #[serde(default)]
-    pub older_than: Vec<String>,
-    /// How the cells show the spread of the seeds; absent where they do not, where the rows differ, or where nothing is drawn by chance.
-    #[serde(default)]
-    pub spread: Option<Spread>,
-    /// Which scenes its settings met before; absent where the document does not say.
-    #[serde(default)]
-    pub scenes: Option<Scenes>,
-}
-
-/// How cells show the spread of the seeds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Spread {
-    /// A figure for each seed.
-    #[serde(rename = "every seed")]
-    EverySeed,
-    /// ± one standard deviation.
-    #[serde(rename = "standard deviation")]
-    Deviation,
-    /// ± half of an interval of 95 %.
-    #[serde(rename = "95 %")]
-    Interval,
-    /// Not at all: every figure is of one run.
-    #[serde(rename = "one run")]
-    OneRun,
-}
-
-/// Which scenes the settings of a table met before.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Scenes {
-    /// Some were chosen on these.
-    #[serde(rename = "tuning")]
-    Tuning,
-    /// None was chosen on these.
-    #[serde(rename = "held out")]
-    HeldOut,
-    /// Of both kinds; the document says which rows are of which.
-    #[serde(rename = "tuning and held out")]
-    Both,
-}
-
-/// Words of commands that train or use a trained method. Crates below those of the methods have no presets.
-const TRAININGS: [&str; 10] = [
-    "gs4d train ",
-    "gs4d compare ",
-    "gs4d continual ",
-    "gs4d reproduce ",
-    "gs4d export ",
-    "gs4d inspect ",
-    "--example train_dut ",
-    "--example scaling ",
-    "-p gs-method-",
-    "-p gs-train --test train ",
-];
-
-impl Listed {
-    /// What is wrong with the entry itself; `document` is the text of its file.
-    fn faults(&self, document: &str) -> Vec<Finding> {
-        let table = format!("{}: {}", self.file, self.head);
-        let mut faults = Vec::new();
-        if self.commit.is_none() && !self.exact {
-            faults.push(Finding::NoCommit { table: table.clone() });
-        }
-        let trains = TRAININGS.iter().any(|words| self.command.contains(words));
-        if trains && self.presets.is_empty() && self.older_than.is_empty() {
-            faults.push(Finding::NoPreset { table: table.clone() });
-        }
-        if self.spread.is_some_and(|spread| (spread == Spread::OneRun) != (self.seeds.len() < 2)) {
-            faults.push(Finding::NoSpread { table: table.clone() });
-        }
-        let commit = self.commit.clone().unwrap_or_default();
-        if !self.older_than.is_empty() && !document.contains(&commit) {
-            faults.push(Finding::Unsaid { table, commit });
-        }
-        faults
-    }
-}
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct List {
     table: Vec<Listed>,
-}
-
-/// A table of a document.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Found {
-    /// The document, relative to the repository.
-    pub file: String,
-    /// Line of its head, from 1.
-    pub line: usize,
-    /// The head as it stands.
-    pub head: String,
-    /// Cells of the rows below.
-    pub rows: Vec<Vec<String>>,
-}
-
-/// What is wrong with a table.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub enum Finding {
-    /// A table of figures that the list does not have.
-    Unlisted {
-        /// `FILE:LINE`.
-        place: String,
-        /// Its head.
-        head: String,
-    },
-    /// The list has a table that is not there, or several begin so.
-    NotOne {
-        /// As listed.
-        file: String,
-        /// As listed.
-        head: String,
-        /// Tables that begin so.
-        number: usize,
-    },
-    /// A table without a commit that is not exact.
-    NoCommit {
-        /// `FILE: HEAD`.
-        table: String,
-    },
-    /// A table of trainings without a preset.
-    NoPreset {
-        /// `FILE: HEAD`.
-        table: String,
-    },
-    /// A table with a spread of fewer than two seeds, or of one run with several.
-    NoSpread {
-        /// `FILE: HEAD`.
-        table: String,
-    },
-    /// The document of a table that is older than a preset does not name the commit.
-    Unsaid {
-        /// `FILE: HEAD`.
-        table: String,
-        /// As listed.
-        commit: String,
-    },
-    /// A preset that a table names is not the one it was measured with.
-    Old {
-        /// `FILE: HEAD`.
-        table: String,
-        /// `METHOD:PRESET`.
-        preset: String,
-        /// What differs.
-        why: String,
-    },
-}
-
-impl fmt::Display for Finding {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Unlisted { place, head } => write!(f, "{place}: docs/tables.toml does not list the table {head}"),
-            Self::NotOne { file, head, number } => {
-                write!(f, "docs/tables.toml: {number} tables of {file} begin with {head}, not one")
-            }
-            Self::NoCommit { table } => write!(f, "{table}: no commit, and not marked as exact"),
-            Self::NoPreset { table } => write!(f, "{table}: trainings without a preset"),
-            Self::NoSpread { table } => write!(f, "{table}: its spread is not one of its number of seeds"),
-            Self::Unsaid { table, commit } => {
-                write!(f, "{table}: older than a preset, and the document does not name its commit {commit}")
-            }
-            Self::Old { table, preset, why } => write!(f, "{table}: {preset} has changed since it was measured: {why}"),
-        }
-    }
 }
 
 /// The tables of figures, and what is wrong with them.
@@ -247,7 +71,7 @@ pub fn check(root: &Path, registry: &Registry) -> Result<Checked, DocumentError>
     let list: List = toml::from_str(&read(&file)?).map_err(|e| DocumentError::List { file, why: e.to_string() })?;
     let found = tables(root)?;
     let (mut checked, mut findings) = (Vec::new(), Vec::new());
-    let mut old = Presets { root, registry, known: BTreeMap::new() };
+    let mut old = Presets::new(root, registry);
     for listed in list.table {
         let begins = |t: &&Found| t.file == listed.file && t.head.starts_with(&listed.head);
         let these: Vec<&Found> = found.iter().filter(begins).collect();
@@ -276,124 +100,15 @@ fn read(path: &Path) -> Result<String, IoError> {
     read_text(path, &Limits::default())
 }
 
-/// The tables of all documents.
-fn tables(root: &Path) -> Result<Vec<Found>, DocumentError> {
-    let mut all = Vec::new();
-    for folder in ["", "docs", "docs/guide"] {
-        let entries = std::fs::read_dir(root.join(folder)).into_iter().flatten().flatten();
-        let mut names: Vec<String> = entries.filter_map(|e| e.file_name().into_string().ok()).collect();
-        names.retain(|n| n.ends_with(".md") && (!folder.is_empty() || n == "README.md"));
-        names.sort();
-        for name in names {
-            let file = if folder.is_empty() { name } else { format!("{folder}/{name}") };
-            all.extend(of_text(&file, &read(&root.join(&file))?));
-        }
-    }
-    Ok(all)
-}
-
-/// The tables of a Markdown text: a line of cells, a line of dashes, lines of cells.
-fn of_text(file: &str, text: &str) -> Vec<Found> {
-    let lines: Vec<&str> = text.lines().collect();
-    let is_row = |k: usize| lines.get(k).is_some_and(|l| l.starts_with('|'));
-    let is_rule = |k: usize| is_row(k) && lines[k].chars().all(|c| "|-: ".contains(c));
-    let table = |k: usize| {
-        let rows = (k + 2..).take_while(|j| is_row(*j)).map(|j| cells(lines[j])).collect();
-        Found { file: file.to_owned(), line: k + 1, head: lines[k].to_owned(), rows }
-    };
-    (0..lines.len()).filter(|k| is_row(*k) && is_rule(k + 1)).map(table).collect()
-}
-
-fn cells(line: &str) -> Vec<String> {
-    line.trim().trim_matches('|').split('|').map(|c| c.trim().to_owned()).collect()
-}
-
-impl Found {
-    /// Whether most rows hold a cell with a figure, beside the first.
-    fn holds_figures(&self) -> bool {
-        let with = self.rows.iter().filter(|r| r.iter().skip(1).any(|c| holds_figure(c))).count();
-        2 * with > self.rows.len()
-    }
-}
-
-/// Whether a cell holds a figure, anywhere but in code.
-fn holds_figure(cell: &str) -> bool {
-    cell.split('`').step_by(2).flat_map(str::split_whitespace).any(is_figure)
-}
-
-/// Whether a word is a number with or without a sign and a symbol. A name (`3D`, `8th`) is none, a year neither.
-fn is_figure(word: &str) -> bool {
-    let word = word.trim_start_matches(['+', '−', '-', '±', '*', '<', '(', '≤', '≥', '≈']);
-    let bare = word.trim_end_matches([',', '.', ';', ':', ')']);
-    let year = bare.parse::<u64>().is_ok_and(|y| (1900..2100).contains(&y));
-    let letter = |c: char| c.is_ascii_alphabetic() && c != 'e';
-    word.starts_with(|c: char| c.is_ascii_digit()) && !word.contains(letter) && !year
-}
-
-/// Kept presets, read once.
-struct Presets<'a> {
-    root: &'a Path,
-    registry: &'a Registry,
-    known: BTreeMap<String, (String, Option<String>)>,
-}
-
-impl Presets<'_> {
-    /// How `METHOD:PRESET` differs from what had this digest; `None` if it does not.
-    fn difference(&mut self, preset: &str, digest: &str) -> Result<Option<String>, DocumentError> {
-        if !self.known.contains_key(preset) {
-            let state = self.state(preset)?;
-            self.known.insert(preset.to_owned(), state);
-        }
-        let (kept, changed) = &self.known[preset];
-        Ok(if kept == digest { changed.clone() } else { Some(format!("the kept settings have the digest {kept}")) })
-    }
-
-    /// Fails if there is no such preset.
-    fn exists(&self, preset: &str) -> Result<(), DocumentError> {
-        let (method, name) = named(preset);
-        with_preset(self.registry, method, name)?;
-        Ok(())
-    }
-
-    /// The digest of the kept settings, and how the present ones differ from them.
-    fn state(&self, preset: &str) -> Result<(String, Option<String>), DocumentError> {
-        let (method, name) = named(preset);
-        let file = self.root.join(format!("docs/presets/{method}-{name}.toml"));
-        let kept = values(&Config::of_toml(&read(&file)?)?);
-        let now = values(&with_preset(self.registry, method, name)?);
-        let differs = |(key, then): (&String, &String)| match now.get(key) {
-            Some(now) if now == then => None,
-            Some(now) => Some(format!("{key} was {then}, is {now}")),
-            None => Some(format!("{key} is gone")),
-        };
-        let all: Vec<String> = kept.iter().filter_map(differs).collect();
-        Ok((digest(&kept), (!all.is_empty()).then(|| all.join("; "))))
-    }
-}
-
-/// Method and preset of `METHOD:PRESET`.
-fn named(preset: &str) -> (&str, &str) {
-    preset.split_once(':').unwrap_or((preset, "fast"))
-}
-
-/// The settings of a method by key, those of the run and of the data left out.
-fn values(config: &Config) -> BTreeMap<String, String> {
-    let own = config.iter().filter(|(key, _)| !key.starts_with("run.") && !key.starts_with("data."));
-    own.map(|(key, setting)| (key.to_owned(), setting.value.to_string())).collect()
-}
-
-/// CRC-32 of the settings, eight hexadecimal digits.
-fn digest(values: &BTreeMap<String, String>) -> String {
-    let text: String = values.iter().map(|(key, value)| format!("{key}={value}\n")).collect();
-    format!("{:08x}", crc32fast::hash(text.as_bytes()))
-}
-
 #[cfg(test)]
 mod tests {
+    use super::presets::{digest, values};
     use super::*;
+    use gs4d_run::settings::with_preset;
+    use std::collections::BTreeMap;
     use std::fs;
 
-    const DOCUMENT: &str = "# A\n\n| method | PSNR |\n|---|---|\n| `fags` | 39.9 |\n| `grid4d` | **39.1** |\n\n| word | what |\n|---|---|\n| a | b |\n";
+    pub(super) const DOCUMENT: &str = "# A\n\n| method | PSNR |\n|---|---|\n| `fags` | 39.9 |\n| `grid4d` | **39.1** |\n\n| word | what |\n|---|---|\n| a | b |\n";
 
     /// A repository with one document and a list.
     fn repository(list: &str) -> tempfile::TempDir {
@@ -412,23 +127,6 @@ mod tests {
         format!(
             "[[table]]\nfile = \"docs/a.md\"\nhead = \"| method |\"\ncommand = \"gs4d train\"\ncommit = \"0\"\nseeds = [0]\npresets = {{ \"fags:fast\" = \"{digest}\" }}\n"
         )
-    }
-
-    #[test]
-    fn tables_are_read_with_their_rows() {
-        let found = of_text("a.md", DOCUMENT);
-        assert_eq!((found.len(), found[0].line, found[0].rows[1][1].as_str()), (2, 3, "**39.1**"));
-        assert!(found[0].holds_figures() && !found[1].holds_figures());
-    }
-
-    #[test]
-    fn a_figure_may_stand_anywhere_in_a_cell() {
-        for cell in ["**39.1**", "−0.10 ± 0.26", "at most 72 more files", "its ratio within 3 %", "3e-6 of `f64`"] {
-            assert!(holds_figure(cell), "{cell}");
-        }
-        for cell in ["`--size 128`", "Kerbl et al. 2023", "every 8th", "4K", "[below](#two-3)", "–", ""] {
-            assert!(!holds_figure(cell), "{cell}");
-        }
     }
 
     #[test]

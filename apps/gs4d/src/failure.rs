@@ -9,7 +9,7 @@ use gs_train::ranks::ShareError;
 use gs_train::trainer::TrainError;
 use gs4d_eval::folders::FolderError;
 use gs4d_eval::forecast::ForecastError;
-use gs4d_eval::temporal::TemporalError;
+use gs4d_eval::temporal::{MetricError, TemporalError};
 use gs4d_run::RunError;
 use gs4d_run::config::ConfigError;
 use std::fmt;
@@ -54,6 +54,8 @@ impl Class {
 
 /// Name of the failure of ranks that cannot talk to each other.
 const RANKS: &str = "ranks";
+/// What to do where views or images have no tOF.
+const WITHOUT_TOF: &str = "leave tof out of --metrics";
 
 /// A failure as printed on stderr.
 #[derive(Debug)]
@@ -127,6 +129,17 @@ impl Failure {
     pub fn remedy(mut self, remedy: impl fmt::Display) -> Self {
         self.text.remedy = remedy.to_string();
         self
+    }
+
+    /// A metric that refuses its images. Where tOF leaves out too much of them, the option that keeps it.
+    fn of_metric(what: String, source: &MetricError) -> Self {
+        let failure = Self::new(Class::Data, "data.metric", what);
+        let keep = match source {
+            MetricError::TooFewFrames { metric: "tOF", .. } => "keep the first and last frames with --no-trim",
+            MetricError::TooSmall { metric: "cropped tOF", .. } => "keep the border with --no-crop",
+            _ => return failure,
+        };
+        failure.remedy(format!("{keep}, or {WITHOUT_TOF}"))
     }
 }
 
@@ -297,7 +310,7 @@ impl From<FolderError> for Failure {
                 Self::new(Class::Data, "data.image", text).place(path.display()).remedy(remedy)
             }
             FolderError::Io(e) => e.into(),
-            FolderError::Metric { path, .. } => Self::new(Class::Data, "data.metric", text).place(path.display()),
+            FolderError::Metric { path, source } => Self::of_metric(text, &source).place(path.display()),
         }
     }
 }
@@ -320,13 +333,26 @@ impl From<ForecastError> for Failure {
 
 impl From<TemporalError> for Failure {
     fn from(e: TemporalError) -> Self {
+        let text = e.to_string();
+        let no_video = |why: &str, choose: &str| {
+            let remedy = format!("{WITHOUT_TOF}, or choose a split {choose} with --split");
+            Self::new(Class::Data, "data.video", text.as_str()).why(why).remedy(remedy)
+        };
         match e {
             TemporalError::Data(e) => e.into(),
-            TemporalError::Method(MethodError::Device(e)) => e.into(),
-            TemporalError::Metric { .. } => Self::new(Class::Data, "data.metric", e.to_string()),
-            _ => Self::new(Class::Data, "data.video", e.to_string())
-                .why("flow between views that do not follow each other is noise")
-                .remedy("leave tof out of --metrics, or choose a split that is a video with --split"),
+            TemporalError::Method(e) => e.into(),
+            TemporalError::Place(e) => e.into(),
+            TemporalError::NoVideo(_) => no_video("flow is that from one frame to the next", "of more views"),
+            TemporalError::Cameras { .. } => {
+                no_video("between two cameras the picture moves, whatever the scene does", "of one camera")
+            }
+            TemporalError::SameTime { .. } => {
+                no_video("no time passes between them, so there is no motion", "whose times differ")
+            }
+            TemporalError::Sparse { .. } => {
+                no_video("flow between views that do not follow each other is noise", "whose times lie closer")
+            }
+            TemporalError::Metric { source, .. } => Self::of_metric(text, &source),
         }
     }
 }
@@ -402,6 +428,52 @@ impl From<RunError> for Failure {
 mod tests {
     use super::*;
     use gs_train::error::RanksError;
+
+    /// What keeps views from being a video is remedied each in its way; other errors as elsewhere.
+    #[test]
+    fn errors_of_videos_have_remedies_of_their_own() {
+        let (first, second) = ("a".to_owned(), "b".to_owned());
+        let of_videos = [
+            TemporalError::NoVideo(1),
+            TemporalError::Cameras { first: first.clone(), second: second.clone() },
+            TemporalError::SameTime { first, second },
+            TemporalError::Sparse { gap: 0.5, step: 0.1 },
+        ]
+        .map(Failure::from);
+        assert!(of_videos.iter().all(|f| f.id == "data.video" && f.text.remedy.contains("--split")));
+        let mut remedies: Vec<&str> = of_videos.iter().map(|f| f.text.remedy.as_str()).collect();
+        remedies.sort_unstable();
+        remedies.dedup();
+        assert_eq!(remedies.len(), of_videos.len(), "{remedies:?}");
+
+        let unreadable = || MethodError::Render("an input image cannot be read".into());
+        let unplaced = || EvalError::NoViews("test");
+        for (got, want) in [
+            (Failure::from(TemporalError::Method(unreadable())), Failure::from(unreadable())),
+            (Failure::from(TemporalError::Place(unplaced())), Failure::from(unplaced())),
+        ] {
+            assert_eq!((got.class, got.to_string()), (want.class, want.to_string()));
+        }
+    }
+
+    /// Frames of views and of folders alike: an option of tOF helps tOF alone.
+    #[test]
+    fn frames_that_tof_refuses_are_remedied_by_its_options() {
+        let of_views = |source| Failure::from(TemporalError::Metric { view: "a".into(), source });
+        let of_folders = |source| Failure::from(FolderError::Metric { path: "a".into(), source });
+        let small = |metric| MetricError::TooSmall { metric, need: 48, width: 47, height: 64, hint: "" };
+        for of in [&of_views as &dyn Fn(MetricError) -> Failure, &of_folders] {
+            let short = of(MetricError::TooFewFrames { metric: "tOF", got: 5, need: 6 });
+            assert!(short.text.remedy.contains("--no-trim") && !short.text.remedy.contains("--no-crop"), "{short}");
+            let cropped = of(small("cropped tOF"));
+            let remedy = &cropped.text.remedy;
+            assert!(remedy.contains("--no-crop") && !remedy.contains("--no-trim"), "{cropped}");
+            let spoilt = MetricError::NotFinite { which: "a", x: 0, y: 0, channel: 0 };
+            for other in [of(small("LPIPS")), of(spoilt)] {
+                assert!(other.id == "data.metric" && other.text.remedy.is_empty(), "{other}");
+            }
+        }
+    }
 
     /// Ranks that are out of step must not be told anything: whatever such an error passes through, it is known.
     #[test]

@@ -63,12 +63,14 @@ mod files;
 pub mod glb;
 mod glb_read;
 mod glb_scene;
+mod glb_write;
 #[cfg(feature = "images")]
 pub mod images;
 mod limits;
 pub mod npy;
 pub mod ply;
 mod ply_header;
+mod ply_rows;
 mod raw;
 #[cfg(feature = "images")]
 pub mod sog;

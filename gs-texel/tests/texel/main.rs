@@ -4,6 +4,8 @@
 mod bad_characters;
 mod base_maps;
 #[cfg(feature = "read")]
+mod character_features;
+#[cfg(feature = "read")]
 mod characters;
 #[cfg(feature = "read")]
 mod evaluate;

@@ -93,8 +93,9 @@ pub(super) struct Hull {
 
 impl Hull {
     pub(super) fn carve(data: &Dataset) -> Result<Self, DataError> {
-        let views = silhouettes(&data.train, !data.has_alpha, data.max_image_mib, None)?;
-        Ok(Self::of(&views, data, AGREEMENT))
+        let views = silhouettes(&data.train, !data.has_alpha, data.max_image_mib, None);
+        // Of several errors the first in order is reported.
+        Ok(Self::of(&views.into_iter().collect::<Result<Vec<_>, _>>()?, data, AGREEMENT))
     }
 
     fn of(views: &[Silhouette], data: &Dataset, agreement: f64) -> Self {
@@ -180,13 +181,13 @@ pub fn images(data: &Dataset) -> Option<ImageCache> {
 /// it inside. None where there are neither alpha nor masks. `images` may hold some of the images ([`images`]).
 ///
 /// # Errors
-/// Those of decoding the images.
-pub fn carve(data: &Dataset, agreement: f64, images: Option<&ImageCache>) -> Result<Option<Carved>, DataError> {
+/// Those of decoding the images or masks, at least one: one for each view of the selection that cannot be read, ascending in time.
+pub fn carve(data: &Dataset, agreement: f64, images: Option<&ImageCache>) -> Result<Option<Carved>, Vec<DataError>> {
     if !has_silhouettes(data) {
         return Ok(None);
     }
     let (by_mask, max_image_mib) = (!data.has_alpha, data.max_image_mib);
-    let silhouettes = silhouettes(&data.train, by_mask, max_image_mib, images)?;
+    let silhouettes = all_read(silhouettes(&data.train, by_mask, max_image_mib, images))?;
     let hull = Hull::of(&silhouettes, data, agreement);
     Ok(Some(Carved { silhouettes, by_mask, max_image_mib, hull }))
 }
@@ -206,9 +207,13 @@ impl Carved {
     /// The silhouettes of other views, such as held-out ones, ascending in time: a selection of many. `images` as for [`carve`].
     ///
     /// # Errors
-    /// Those of decoding the images.
-    pub fn silhouettes_of(&self, views: &[View], images: Option<&ImageCache>) -> Result<Vec<Silhouette>, DataError> {
-        silhouettes(views, self.by_mask, self.max_image_mib, images)
+    /// As [`carve`].
+    pub fn silhouettes_of(
+        &self,
+        views: &[View],
+        images: Option<&ImageCache>,
+    ) -> Result<Vec<Silhouette>, Vec<DataError>> {
+        all_read(silhouettes(views, self.by_mask, self.max_image_mib, images))
     }
 
     /// Whether [`Dataset::start`] has points of the hull of `data`, whose training views carved this one.
@@ -267,13 +272,14 @@ fn scale(chosen: &[(usize, &View)]) -> f64 {
     IMAGE_SIDE / f64::from(largest)
 }
 
-/// The chosen views at reduced size; `by_mask` takes the masks for alpha. Images are those of `images` if it has their scale.
+/// The chosen views at reduced size, or why they cannot be read, ascending in time; `by_mask` takes the masks for alpha. Images are those of
+/// `images` if it has their scale.
 fn silhouettes(
     views: &[View],
     by_mask: bool,
     max_image_mib: Option<u32>,
     images: Option<&ImageCache>,
-) -> Result<Vec<Silhouette>, DataError> {
+) -> Vec<Result<Silhouette, DataError>> {
     let chosen = chosen(views, by_mask);
     let own = ImageCache::new(0, scale(&chosen)).with_max_image_mib(max_image_mib);
     let cache = images.filter(|i| i.scale() == own.scale()).unwrap_or(&own);
@@ -285,8 +291,15 @@ fn silhouettes(
         }
         Ok(Silhouette { index, camera: cache.camera(v), image })
     };
-    // An indexed parallel map keeps the order; of several errors the first in order is reported.
-    chosen.par_iter().map(load).collect::<Vec<_>>().into_iter().collect()
+    // An indexed parallel map keeps the order.
+    chosen.par_iter().map(load).collect()
+}
+
+/// The silhouettes, or the errors of all that could not be read.
+fn all_read(silhouettes: Vec<Result<Silhouette, DataError>>) -> Result<Vec<Silhouette>, Vec<DataError>> {
+    let mut errors = Vec::new();
+    let read = silhouettes.into_iter().filter_map(|s| s.map_err(|e| errors.push(e)).ok()).collect();
+    if errors.is_empty() { Ok(read) } else { Err(errors) }
 }
 
 /// When a run of consecutive views agrees on a cell.

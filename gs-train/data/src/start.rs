@@ -114,13 +114,13 @@ impl Dataset {
     }
 
     /// Share in 0..1 of the points that project into the image of at least two training views (of one, if there is one only). Of
-    /// more than 5000 points, an even selection is tested.
+    /// more than 5000 points, an even selection of 5000 is tested.
     pub fn seen_share(&self, points: &[Vec3]) -> f64 {
-        let step = points.len().div_ceil(5000).max(1);
+        const MOST: usize = 5000;
         let enough = self.train.len().min(2);
-        let seen = |p: &Vec3| self.train.iter().filter(|v| sees(v, p.as_dvec3())).take(enough).count() == enough;
-        let sample = points.iter().step_by(step);
-        sample.clone().filter(|p| seen(p)).count() as f64 / sample.count().max(1) as f64
+        let seen = |p: Vec3| self.train.iter().filter(|v| sees(v, p.as_dvec3())).take(enough).count() == enough;
+        let found = super::evenly(points.len(), MOST).filter(|k| seen(points[*k])).count();
+        found as f64 / points.len().clamp(1, MOST) as f64
     }
 
     /// Unprojected random pixels of depth maps.

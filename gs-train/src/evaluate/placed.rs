@@ -106,8 +106,7 @@ pub fn place(
         let time = cameras.clock_offset(groups[group].0.camera_id);
         let several = members.iter().any(|k| Some(views[*k].time) != first);
         let clock = if several || time.is_some() { seconds } else { 0.0 };
-        let step = members.len().div_ceil(VIEWS);
-        let seen: Vec<&View> = members.iter().step_by(step).map(|k| &views[*k]).collect();
+        let seen: Vec<&View> = gs_data::evenly(members.len(), VIEWS).map(|k| &views[members[k]]).collect();
         let options = model.raster_options(background);
         Placing { splats, images, options, learnt: &learnt, clock, time }.of(&seen)
     })?;

@@ -37,6 +37,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     domains: &[],
     needs_avatar: false,
     grows: None,
+    effective: None,
     build,
 };
 

@@ -1,9 +1,11 @@
+use super::silhouette::MAX_FRAMES;
 use super::*;
+use glam::DVec3;
 use gs_core::Camera;
-use gs_data::ImageSource;
-use gs_data::avatar::Morphs;
+use gs_data::avatar::{AvatarFrame, Morphs};
+use gs_data::{ImageSource, View};
 use gs_synth::avatar::{AvatarOptions, generate};
-use std::sync::{Mutex, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock};
 
 /// A film of the built-in person by eight cameras; each is made once.
 fn film(clip: &str, size: u32, morph: Morphs) -> Dataset {
@@ -66,20 +68,6 @@ fn with_camera(data: &Dataset, id: u32, edit: impl Fn(&mut View, usize)) -> Data
 fn turned(camera: &Camera, degrees: f64) -> Camera {
     let turn = glam::DMat3::from_rotation_y(degrees.to_radians());
     Camera { rotation: turn * camera.rotation, translation: turn * camera.translation, ..camera.clone() }
-}
-
-#[test]
-fn an_outline_is_one_pixel_wide_and_leaves_the_border_out() {
-    // A square of 4 × 4 in the middle of 8 × 8, and one that the border cuts.
-    let square = |x0: usize, y0: usize| {
-        let inside: Vec<bool> =
-            (0..64).map(|i| (x0..x0 + 4).contains(&(i % 8)) && (y0..y0 + 4).contains(&(i / 8))).collect();
-        outline(&inside, 8)
-    };
-    assert_eq!(square(2, 2).len(), 12);
-    assert!(square(0, 2).iter().all(|p| p.x == 3.0 || (1.0..3.0).contains(&p.x) && (p.y == 2.0 || p.y == 5.0)));
-    assert!(outline(&[true; 64], 8).is_empty());
-    assert_eq!(nearest(DVec2::new(3.0, 4.0), &[DVec2::splat(9.0), DVec2::ZERO]), (1, 5.0));
 }
 
 const CLIPS: [&str; 3] = ["walk", "wave", "turn"];

@@ -77,8 +77,8 @@ pub struct Steps {
 }
 
 impl Steps {
-    /// The steps of a method's configuration on data with this normalised frame interval; `None` without such settings, and
-    /// where particles follow a closed form.
+    /// The steps of a method's [effective](gs_train::registry::MethodEntry::effective()) configuration on data with this normalised
+    /// frame interval; `None` without such settings, and where particles follow a closed form.
     pub fn of(config: &toml::Table, frame_interval: f32) -> Option<Self> {
         let length = config.get("physics")?.get("step_frames")?.as_float()? * f64::from(frame_interval);
         // Velocity fields have one rule.
@@ -87,7 +87,7 @@ impl Steps {
         };
         let closed = matches!(setting(law, "form"), Some(LawForm::Gvfi13 | LawForm::Free));
         let remedy = "law.integrator = \"se3_mid\" or a smaller physics.step_frames";
-        let rule = setting(law, "integrator").filter(|_| !closed && !without_physics(config))?;
+        let rule = setting(law, "integrator").filter(|_| !closed)?;
         Some(Self { length, rule, remedy })
     }
 }
@@ -95,12 +95,6 @@ impl Steps {
 /// A setting of a section, if it is there.
 fn setting<T: DeserializeOwned>(section: &toml::Value, name: &str) -> Option<T> {
     section.get(name)?.clone().try_into().ok()
-}
-
-/// Whether `ablate` leaves rigid motion out: particles go straight.
-fn without_physics(config: &toml::Table) -> bool {
-    let parts = config.get("ablate").and_then(toml::Value::as_str).unwrap_or_default();
-    parts.split(',').any(|part| part.trim() == "physics")
 }
 
 impl Physics {
@@ -150,6 +144,7 @@ mod tests {
     use super::*;
     use gs_core::Splats;
     use gs_physics::{Motion, Twist};
+    use gs_train::registry::overlay;
 
     /// A wheel of radius ½ that rolls along x, half a turn per unit of time: the lowest point rests, the highest is at twice
     /// the speed of the hub.
@@ -215,8 +210,22 @@ mod tests {
             "[law]\nintegrator = \"rk2\"\nform = \"free\"",
         ];
         assert!(kept.iter().all(|text| fast(text, 0.05).is_none()), "these keep radii");
-        let left_out = "ablate = \"field, physics\"\n[physics]\nstep_frames = 2.0\n[law]\nintegrator = \"rk2\"";
-        assert_eq!(Steps::of(&left_out.parse().unwrap(), 0.05), None);
         assert_eq!(Steps::of(&"[field]\nwidth = 3".parse().unwrap(), 0.05), None);
+    }
+
+    /// Without rigid motion particles go straight.
+    #[test]
+    fn without_its_physics_trace_has_no_steps() {
+        let entry = gs_methods::registry().find("trace").unwrap();
+        let steps = |ablate: &str| {
+            let mut config = entry.config("tiny").unwrap();
+            let more = format!("ablate = \"{ablate}\"\nlaw.integrator = \"rk2\"");
+            overlay(&mut config, more.parse().unwrap());
+            Steps::of(&entry.effective(&config).unwrap(), 0.05)
+        };
+        assert_eq!(steps("field, physics"), None);
+        for ablate in ["", "field", "equivalent"] {
+            assert_eq!(steps(ablate).map(|s| s.rule), Some(Integrator::Rk2), "{ablate}");
+        }
     }
 }

@@ -20,8 +20,9 @@ pub(crate) const MAX_POINTS: usize = 10_000;
 const MAX_CAMERAS: usize = 4;
 const MAX_TIMES: usize = 61;
 
-/// The complexity of a model's motion as seen by the training cameras (at most 4, and at most 61 of the training moments). Where
-/// moments are left out, the change of velocity is that from one moment to the next: a share of what is measured.
+/// The complexity of a model's motion as seen by the training cameras (at most 4, and at most 61 of the training moments). Of more moments
+/// every second, third and so on is seen, and the change of velocity is that from one moment of the data to the next: a share of what is
+/// measured.
 ///
 /// # Errors
 /// If the model cannot produce its splats.
@@ -32,8 +33,8 @@ pub fn scene_complexity(method: &Model, data: &Dataset) -> Result<Complexity, Me
     let mut ids: Vec<u32> = data.train.iter().map(|v| v.camera_id).collect();
     ids.sort_unstable();
     ids.dedup();
-    let chosen = ids.iter().step_by(ids.len().div_ceil(MAX_CAMERAS).max(1));
-    let cameras = chosen.filter_map(|id| data.train.iter().find(|v| v.camera_id == *id)).map(|v| v.camera.clone());
+    let chosen = gs_data::evenly(ids.len(), MAX_CAMERAS).map(|k| ids[k]);
+    let cameras = chosen.filter_map(|id| data.train.iter().find(|v| v.camera_id == id)).map(|v| v.camera.clone());
     let found = complexity(&tracks(method, &cameras.collect::<Vec<_>>(), &times, MAX_POINTS)?, STATIC_PATH);
     Ok(Complexity { acceleration: found.acceleration / stride as f64, ..found })
 }

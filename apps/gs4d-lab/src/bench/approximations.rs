@@ -3,7 +3,7 @@
 use super::{ROUNDS, differences, in_turns, settings};
 use crate::people::{Cell, Findings, LabError};
 use glam::Vec3;
-use gs_core::{Camera, Color, Kernel, Rng, Splats, rot};
+use gs_core::{Camera, Kernel, Rng, Splats, rot};
 use gs_metrics::psnr_from_mse;
 use gs_physics::classes::rotation_sensitivity;
 use gs_physics::{ClassRule, Extrapolator, Integrator, Motion, Rollout, RowsError, Twist};
@@ -21,10 +21,6 @@ use std::sync::Arc;
 
 /// Number of splats and side of the image of what the rasteriser leaves out.
 const RASTERISED: (usize, u32) = (30_000, 400);
-/// Factor of the standard deviations where colours are to take their share of a frame: hardly any splat hides another.
-const SMALL: f32 = 0.25;
-/// Coefficients that are not zero, so that their bands are computed, and change no colour.
-const TINY: f32 = 1e-30;
 /// Number of splats and side of the image of forecasts.
 const FORECAST: (usize, u32) = (20_000, 400);
 /// Frames of a forecast, and of a scene whose splats rest.
@@ -48,9 +44,8 @@ const TRAINED: (u32, &str) = (
 pub fn approximations(registry: &Registry) -> Result<Findings, LabError> {
     let remark = format!(
         "{} threads, medians of {ROUNDS} rounds in which both ways take turns. Colours are clamped to 0..1. The first rows: a frame of \
-         {} random splats at {}x{}; small ones have {SMALL} times the standard deviations, and zeros are computed as {TINY:e}. \
-         Forecasts: the means and rotations of {} random splats, a mean over {} frames; the picture is the last of them. Splats left \
-         at rest: fourdgs, preset tiny, scene balls at {}x{}; the splats of a frame, a mean over {} times.",
+         {} random splats at {}x{}. Forecasts: the means and rotations of {} random splats, a mean over {} frames; the picture is the last of \
+         them. Splats left at rest: fourdgs, preset tiny, scene balls at {}x{}; the splats of a frame, a mean over {} times.",
         rayon::current_num_threads(),
         RASTERISED.0,
         RASTERISED.1,
@@ -84,13 +79,13 @@ fn row(what: &str, ms: [f64; 2], [without, with]: &[Vec<f32>; 2]) -> Vec<Cell> {
     [Cell::from(what)].into_iter().chain(numbers).collect()
 }
 
-/// A line for a frame that is rendered without and with.
-fn rendered(what: &str, side: u32, ways: [(&Splats, RasterOptions); 2]) -> Vec<Cell> {
+/// A line for a frame of `splats` that is rendered without and with.
+fn rendered(what: &str, side: u32, splats: &Splats, ways: [RasterOptions; 2]) -> Vec<Cell> {
     let camera = camera(side);
     let mut frames = [(); 2].map(|()| (Workspace::new(), Frame::default()));
     let ms = in_turns(|k, watch| {
-        let ((splats, options), (workspace, frame)) = (&ways[k], &mut frames[k]);
-        watch.run(1, || render_into(*splats, &camera, options, workspace, frame));
+        let (options, (workspace, frame)) = (&ways[k], &mut frames[k]);
+        watch.run(1, || render_into(splats, &camera, options, workspace, frame));
     });
     row(what, ms, &frames.map(|(_, frame)| clamped(&frame).data))
 }
@@ -102,9 +97,8 @@ fn raster_rows(n: usize, side: u32) -> Vec<Vec<Cell>> {
     // The last kernel never decays.
     let [plain, soft, endless] =
         [Kernel::Gaussian, frequency(0.05, 0.5), frequency(0.2, 0.9)].map(|kernel| Splats { kernel, ..scene(n, 3) });
-    let [tiny, zero] = [TINY, 0.0].map(|value| upper_bands(n, value));
     let of = |what: &str, splats: &Splats, without: RasterOptions, with: RasterOptions| {
-        rendered(what, side, [(splats, without), (splats, with)])
+        rendered(what, side, splats, [without, with])
     };
     let (least, cut) = (RasterOptions { min_alpha: 1e-6, ..usual() }, RasterOptions { kernel_cut: 25.0, ..usual() });
     vec![
@@ -120,23 +114,7 @@ fn raster_rows(n: usize, side: u32) -> Vec<Vec<Cell>> {
             RasterOptions { box_sigmas: 3.0, ..usual() },
         ),
         of("kernel_cut 9 (default) for 25, frequency kernel λ = 0.2, β = 0.9", &endless, cut, usual()),
-        rendered(
-            "zero SH bands 1 to 3 left out (default) for computed, small splats",
-            side,
-            [(&tiny, usual()), (&zero, usual())],
-        ),
     ]
-}
-
-/// Small splats whose coefficients above degree 0 are all `value`.
-fn upper_bands(n: usize, value: f32) -> Splats {
-    let mut splats = scene(n, 3);
-    splats.scales.iter_mut().for_each(|s| *s *= SMALL);
-    let width = splats.color.width();
-    if let Color::Sh { coeffs, .. } = &mut splats.color {
-        coeffs.chunks_exact_mut(width).for_each(|row| row[3..].fill(value));
-    }
-    splats
 }
 
 /// Simpler motions in forecasts.
@@ -253,9 +231,8 @@ mod tests {
     fn coarser_thresholds_change_more() {
         let rows = raster_rows(400, 32);
         let mean = |k: usize| rows[k][4].number().unwrap();
-        assert!(rows.len() == 8 && 0.0 < mean(0) && mean(0) < mean(1), "{rows:?}");
+        assert!(rows.len() == 7 && 0.0 < mean(0) && mean(0) < mean(1), "{rows:?}");
         assert!(mean(2) <= mean(3) && mean(3) <= mean(4) && mean(5) > 0.0 && mean(6) > 0.0, "{rows:?}");
-        assert_eq!(rows[7][3], Cell::from(0.0), "bands of zeros change no bit");
     }
 
     #[test]

@@ -178,6 +178,50 @@ fn the_timeline_lists_what_has_an_effect() {
     }
 }
 
+/// What is left out has no rate, whether `ablate` or another setting says so; nothing else changes.
+#[test]
+fn the_timeline_is_of_the_parts_that_are_left() {
+    let resolved = |method: &str, sets: &[&str]| {
+        let sets = sets.iter().map(|s| (*s).to_owned()).collect();
+        let request = Request { method: method.into(), preset: "paper".into(), sets, ..Request::default() };
+        resolve(gs_methods::registry(), &request).unwrap().to_toml()
+    };
+    let timeline = |method: &str, sets: &[&str]| -> Vec<String> {
+        let text = resolved(method, sets).unwrap();
+        text.lines().take_while(|line| !line.is_empty()).map(str::to_owned).collect()
+    };
+    let (kernel, global): (&[&str], &[&str]) = (&["cloud.lambda", "cloud.beta"], &["gad.", "anchors.dynamics"]);
+    let cases: [(&str, &str, &[&str]); 9] = [
+        ("fags", "ablate=fdgk", kernel),
+        ("fags", "cloud.kernel.kind=gaussian", kernel),
+        ("fags", "ablate=beta", &["cloud.beta"]),
+        ("fags", "ablate=lambda,hfe,gate,fre", &[]),
+        ("modec", "ablate=gad", global),
+        ("modec", "global=false", global),
+        ("modec", "ablate=lgd,tia", &["lgd."]),
+        ("trace", "ablate=field", &["field."]),
+        ("trace-4dgs", "ablate=field", &["field."]),
+    ];
+    for (method, set, gone) in cases {
+        let is_of = |line: &str, rate: &str| line.strip_prefix("# learning rate ").is_some_and(|l| l.starts_with(rate));
+        let mut kept = timeline(method, &[]);
+        for rate in gone {
+            let before = kept.len();
+            kept.retain(|line| !is_of(line, rate));
+            assert!(kept.len() < before, "{method} has no rate {rate}");
+        }
+        assert_eq!(timeline(method, &[set]), kept, "{method} {set}");
+    }
+    let encoder = |of: &str| {
+        let set = format!("lgd.encoder={of}");
+        let lines = timeline("modec", &[set.as_str()]);
+        ["lgd.planes", "lgd.grids"].map(|rate| lines.iter().any(|line| line.contains(rate)))
+    };
+    assert_eq!((encoder("planes"), encoder("hash")), ([true, false], [false, true]));
+    let error = resolved("fags", &["ablate=fdkg"]).unwrap_err().to_string();
+    assert!(error.contains("`fdkg`") && error.contains("fdgk, hfe, gate"), "{error}");
+}
+
 #[test]
 fn bad_settings_are_refused_by_name() {
     let error = |sets: &[&str]| resolve(gs_methods::registry(), &request(sets)).unwrap_err().to_string();

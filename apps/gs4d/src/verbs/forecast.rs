@@ -120,7 +120,8 @@ impl ForecastVerb {
         let found = method.capabilities().particles.map_or_else(Vec::new, |p| p.bodies(&times));
         let bodies: Vec<TimedBody> = found.into_iter().map(|body| TimedBody::of(body, clock)).collect();
         let particles = Particles::of(method);
-        let steps = Steps::of(&run.loaded.config, run.loaded.scene.frame_interval);
+        let config = run.resolved.registry.find(method.name())?.effective(&run.loaded.config)?;
+        let steps = Steps::of(&config, run.loaded.scene.frame_interval);
         let physics = particles.map(|p| Physics::of(&p, clock, steps));
         let moments = truth.as_ref().map(|t| t.moments(last));
         let report = Report {

@@ -94,6 +94,9 @@ fn videos_are_scored_by_motion() {
     assert!(table.contains("tof px") && table.contains("whole frames") && !table.contains("ssim  "), "{table}");
     fs::remove_file(b.join("000047.png")).unwrap();
     gs4d(&base).fails(3, &["render_7", "8 and 7"]);
+    (5..8).for_each(|i| fs::remove_file(a.join(format!("render_{i}.png"))).unwrap());
+    (45..47).for_each(|i| fs::remove_file(b.join(format!("{i:06}.png"))).unwrap());
+    gs4d(&base).fails(3, &["at least 6 frames", "--no-trim", "leave tof out of --metrics"]);
 }
 
 #[test]
@@ -104,11 +107,13 @@ fn a_run_has_motion_only_along_a_video() {
 }
 
 #[test]
-fn sizes_must_be_equal() {
+fn sizes_must_be_equal_and_large_enough() {
     let dir = tempfile::tempdir().unwrap();
     let small = dir.path().join("small");
     let views = ["--train-views", "1", "--test-views", "2"];
     good(&[&["synth", "balls", "-o", text(&small), "--size", "24"][..], &views].concat());
     let (a, b) = (small.join("test"), data().join("test"));
     gs4d(&["eval", "--pred", text(&a), "--gt", text(&b)]).fails(3, &["(24, 24, 3)", "(48, 48, 3)", "r_000.png"]);
+    let tof = ["eval", "--pred", text(&a), "--gt", text(&a), "--metrics", "psnr,tof"];
+    gs4d(&tof).fails(3, &["24x24", "--no-crop", "leave tof out of --metrics", "r_000.png"]);
 }

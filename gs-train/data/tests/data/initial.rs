@@ -55,6 +55,32 @@ fn the_hull_of_a_long_sequence_is_carved_by_all_cameras_of_its_rig() {
 }
 
 #[test]
+fn every_view_whose_silhouette_cannot_be_read_is_named() {
+    let mut data = generate("static", &SynthOptions::of_views(16, 10, 0)).unwrap().dataset;
+    let wrong = Arc::new(ImageU8 { width: 2, height: 1, data: vec![0; 8] });
+    let spoilt = [2, 5, 9].map(|k| {
+        let view = &mut data.train[k];
+        view.image = ImageSource::Memory(wrong.clone());
+        view.name.clone()
+    });
+    let errors = gs_data::hull::carve(&data, 0.95, None).err().unwrap();
+    let named: BTreeSet<String> = errors.iter().map(|e| e.place().unwrap().file.display().to_string()).collect();
+    assert_eq!((errors.len(), named), (spoilt.len(), BTreeSet::from(spoilt)));
+}
+
+#[test]
+fn the_points_that_are_tested_are_not_every_second_one() {
+    let mut data = generate("static", &SynthOptions::of_views(16, 4, 0)).unwrap().dataset;
+    data.train.truncate(1);
+    let camera = &data.train[0].camera;
+    let [seen, unseen] = [1.0, -1.0].map(|way| (camera.position() + way * camera.forward()).as_vec3());
+    // Every second point is seen.
+    let points: Vec<Vec3> = (0..7500).map(|k| if k % 2 == 0 { seen } else { unseen }).collect();
+    assert!((data.seen_share(&points) - 0.5).abs() < 0.01, "{}", data.seen_share(&points));
+    assert_eq!((data.seen_share(&[]), data.seen_share(&[seen])), (0.0, 1.0));
+}
+
+#[test]
 fn the_same_seed_gives_the_same_points_for_any_number_of_threads() {
     let data = generate("balls", &SynthOptions { train_views: 20, ..options() }).unwrap().dataset;
     let with = |threads| {

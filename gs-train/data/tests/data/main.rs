@@ -2,6 +2,9 @@
 
 mod arrivals;
 mod avatar;
+mod avatar_faults;
+mod avatar_layout;
+mod film;
 mod geometry;
 mod initial;
 mod motion;

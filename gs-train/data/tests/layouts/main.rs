@@ -1,6 +1,8 @@
 //! Data sets: readers layout by layout, real captures, and scenes that are generated.
 
+mod blender;
 mod cameras;
+mod colmap;
 mod hypernerf;
 mod layouts;
 mod llff;

@@ -16,11 +16,11 @@ use gs_anchor::{AnchorDensifyRules, AnchorShape, DecoderConfig, Gad, GadConfig, 
 use gs_anchor::{Lgd, LgdConfig, LgdEncoder};
 use gs_core::cast;
 use gs_deform::Aabb;
-use gs_train::ablate::{Ablations, Part};
+use gs_train::ablate::{Ablations, Part, read_without};
 use gs_train::layers::BASE;
 use gs_train::method::MethodError;
 use gs_train::model::Model;
-use gs_train::registry::{MethodEntry, parse_config};
+use gs_train::registry::{MethodEntry, write_config};
 use gs_train::scene::{InitConfig, SceneInfo};
 use gs_train::schedule::Schedule;
 use serde::{Deserialize, Serialize};
@@ -45,6 +45,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     domains: DOMAINS,
     needs_avatar: false,
     grows: Some(scaffold::grows),
+    effective: Some(effective),
     build,
 };
 
@@ -103,10 +104,31 @@ fn logits_can_learn(config: &Config) -> bool {
     !(alone && stuck)
 }
 
+/// Reads the settings, without the parts they name.
+fn read(table: &toml::Table) -> Result<Config, MethodError> {
+    read_without(ENTRY.name, table, PARTS, |c| &mut c.ablate)
+}
+
+/// The effective configuration: GAD, LGD, its encoder, intervals and logits have rates only where they are there.
+fn effective(table: &toml::Table) -> Result<toml::Table, MethodError> {
+    let mut config = read(table)?;
+    let rates = &mut config.schedule.lr;
+    if !config.global {
+        rates.remove("gad");
+        rates.remove("intervals");
+        rates.get_mut("anchors").and_then(|anchors| anchors.remove("dynamics"));
+    }
+    if !config.local {
+        rates.remove("lgd");
+    }
+    let other = if config.lgd.encoder == LgdEncoder::Planes { "grids" } else { "planes" };
+    rates.get_mut("lgd").and_then(|lgd| lgd.remove(other));
+    write_config(ENTRY.name, &config)
+}
+
 fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
-    let mut config: Config = parse_config(ENTRY.name, table)?;
+    let mut config = read(table)?;
     let wrong = |why: String| MethodError::Config { method: ENTRY.name, why };
-    config.ablate.clone().apply(PARTS, &mut config).map_err(wrong)?;
     if !(1..=2).contains(&config.logits) {
         return Err(wrong(format!("logits = {}: 1 (shared) or 2", config.logits)));
     }
@@ -156,4 +178,32 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
         dilation: config.schedule.dilation,
     };
     Model::new(ENTRY.name, Anchored::new(parts, scene)?, config.schedule)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gs_train::registry::own_settings;
+
+    #[test]
+    fn effective_configurations_have_no_rates_of_what_they_leave_out_and_name_no_parts() {
+        let cases: [(&str, &[&str]); 4] = [
+            ("", &["lgd.grids"]),
+            ("tia", &["lgd.grids"]),
+            ("gad", &["lgd.grids", "gad.planes", "gad.all", "intervals.starts", "anchors.dynamics"]),
+            ("lgd", &["lgd.grids", "lgd.planes", "lgd.all"]),
+        ];
+        for (ablate, without) in cases {
+            let mut settings = own_settings(ENTRY.config("tiny").unwrap());
+            settings.insert("ablate".into(), ablate.into());
+            let effective = effective(&settings).unwrap();
+            assert_eq!(effective["ablate"].as_str(), Some(""), "{ablate}");
+            let mut config = read(&settings).unwrap();
+            for (part, rates) in &mut config.schedule.lr {
+                rates.retain(|name, _| !without.contains(&format!("{part}.{name}").as_str()));
+            }
+            config.schedule.lr.retain(|_, rates| !rates.is_empty());
+            assert_eq!(read(&effective).unwrap(), config, "{ablate}");
+        }
+    }
 }

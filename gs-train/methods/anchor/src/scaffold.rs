@@ -62,6 +62,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     domains: DOMAINS,
     needs_avatar: false,
     grows: Some(grows),
+    effective: None,
     build,
 };
 

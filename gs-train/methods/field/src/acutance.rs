@@ -2,7 +2,7 @@
 //! bases with a length and an angle each and a blend of norms: this is a reduction, not the baseline "Grid4D + DRK" of FAGS.
 //! Settings and body are those of [`grid4d`](super::grid4d).
 
-use crate::grid4d::{DOMAINS, PRESETS, SETTINGS, build_as};
+use crate::grid4d::{DOMAINS, PRESETS, SETTINGS, build_as, effective_as};
 use gs_train::layers::{BASE, CLOUD, DEFORMED, STILL};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
@@ -18,9 +18,14 @@ pub const ENTRY: MethodEntry = MethodEntry {
     domains: DOMAINS,
     needs_avatar: false,
     grows: None,
+    effective: Some(effective),
     build,
 };
 
 fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     build_as(ENTRY.name, table, scene)
+}
+
+fn effective(table: &toml::Table) -> Result<toml::Table, MethodError> {
+    effective_as(ENTRY.name, table)
 }

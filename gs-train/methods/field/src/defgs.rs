@@ -29,6 +29,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     domains: &[],
     needs_avatar: false,
     grows: None,
+    effective: None,
     build,
 };
 

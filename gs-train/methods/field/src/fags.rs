@@ -1,7 +1,7 @@
 //! FAGS, frequency-aware dynamic Gaussian splatting: Grid4D with a kernel whose fall-off is learnt, a Fourier branch, a
 //! gate and a loss on amplitude spectra. Settings and body are those of [`grid4d`](super::grid4d).
 
-use crate::grid4d::{DOMAINS, FAST_GRIDS, HYPERNERF, NEU3D, SETTINGS, TINY, build_as};
+use crate::grid4d::{DOMAINS, FAST_GRIDS, HYPERNERF, NEU3D, SETTINGS, TINY, build_as, effective_as};
 use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, DEFORMED, STILL};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
@@ -23,9 +23,14 @@ pub const ENTRY: MethodEntry = MethodEntry {
     domains: DOMAINS,
     needs_avatar: false,
     grows: None,
+    effective: Some(effective),
     build,
 };
 
 fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     build_as(ENTRY.name, table, scene)
+}
+
+fn effective(table: &toml::Table) -> Result<toml::Table, MethodError> {
+    effective_as(ENTRY.name, table)
 }

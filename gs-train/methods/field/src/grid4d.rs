@@ -5,14 +5,14 @@
 use crate::deformed::Deformed;
 use gs_deform::field::anneal::Anneal;
 use gs_deform::field::{Grid4dConfig, Grid4dField};
-use gs_train::ablate::{Ablations, Part};
+use gs_train::ablate::{Ablations, Part, read_without};
 use gs_train::canonical::Canonical;
 use gs_train::domains::{Domain, length, within};
 use gs_train::kernel::KernelKind;
 use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED, STILL};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
-use gs_train::registry::{MethodEntry, parse_config};
+use gs_train::registry::{MethodEntry, write_config};
 use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
 use gs_train::schedule::Schedule;
 use gs_train::still::training::StillConfig;
@@ -41,6 +41,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     domains: DOMAINS,
     needs_avatar: false,
     grows: None,
+    effective: Some(effective),
     build,
 };
 
@@ -109,11 +110,24 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     build_as(ENTRY.name, table, scene)
 }
 
+fn effective(table: &toml::Table) -> Result<toml::Table, MethodError> {
+    effective_as(ENTRY.name, table)
+}
+
+/// Reads the settings of one of the methods on this body, without the parts they name.
+fn read(name: &'static str, table: &toml::Table) -> Result<Config, MethodError> {
+    read_without(name, table, GRID4D, |c| &mut c.ablate)
+}
+
+/// The effective configuration of one of the methods on this body.
+pub(super) fn effective_as(name: &'static str, table: &toml::Table) -> Result<toml::Table, MethodError> {
+    write_config(name, &read(name, table)?)
+}
+
 /// Builds whatever the configuration says, under the name of one of the methods on this body.
 pub(super) fn build_as(name: &'static str, table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
-    let mut config: Config = parse_config(name, table)?;
+    let mut config = read(name, table)?;
     let wrong = |why: String| MethodError::Config { method: name, why };
-    config.ablate.clone().apply(GRID4D, &mut config).map_err(wrong)?;
     if config.field.bound == 0.0 {
         config.field.bound =
             ROOM * scene.bounds.map(|corner| corner.abs().max_element()).into_iter().fold(0.0, f32::max);
@@ -133,21 +147,31 @@ mod tests {
     use crate::METHODS;
     use gs_train::registry::{own_settings, parse_config};
 
-    fn config(method: &'static str, ablate: &str) -> Config {
+    fn settings(method: &'static str, ablate: &str) -> toml::Table {
         let mut table = own_settings(METHODS.iter().find(|m| m.name == method).unwrap().config("tiny").unwrap());
         table.insert("ablate".into(), ablate.into());
-        let mut config: Config = parse_config(method, &table).unwrap();
-        config.ablate.clone().apply(GRID4D, &mut config).unwrap();
-        config
+        table
+    }
+
+    fn config(method: &'static str, ablate: &str) -> Config {
+        read(method, &settings(method, ablate)).unwrap()
     }
 
     #[test]
     fn without_its_parts_fags_is_grid4d() {
-        let (bare, mut plain) = (config("fags", "fdgk, hfe,gate,fre"), config("grid4d", ""));
-        plain.ablate = bare.ablate.clone();
-        assert_eq!(bare, plain);
-        assert_eq!(String::from(bare.ablate), "fdgk,hfe,gate,fre");
+        assert_eq!(config("fags", "fdgk, hfe,gate,fre"), config("grid4d", ""));
         assert_ne!(config("fags", ""), config("grid4d", ""));
+        let named: Config = parse_config("fags", &settings("fags", "fdgk, hfe,gate,fre")).unwrap();
+        assert_eq!(String::from(named.ablate), "fdgk,hfe,gate,fre");
+    }
+
+    #[test]
+    fn effective_configurations_build_the_same_and_name_no_parts() {
+        for ablate in ["", "fdgk,gate", "lambda,beta,hfe,fre"] {
+            let effective = effective_as("fags", &settings("fags", ablate)).unwrap();
+            assert_eq!(effective["ablate"].as_str(), Some(""), "{ablate}");
+            assert_eq!(read("fags", &effective).unwrap(), config("fags", ablate), "{ablate}");
+        }
     }
 
     #[test]

@@ -30,6 +30,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     domains: DOMAINS,
     needs_avatar: false,
     grows: None,
+    effective: None,
     build,
 };
 

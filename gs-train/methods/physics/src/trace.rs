@@ -18,7 +18,7 @@ use crate::advected::{Advected, PhysicsConfig};
 use crate::layers::{LAW, LAW_FAST, LAW_TINY, PHYSICS, PHYSICS_FAST, PHYSICS_TINY, TRACE_NETWORK};
 use gs_deform::{DefGsConfig, DefMlp, Field};
 use gs_physics::{Law, LawConfig, LawForm};
-use gs_train::ablate::{Ablations, Part};
+use gs_train::ablate::{Ablations, Part, read_without};
 use gs_train::canonical::Canonical;
 use gs_train::domains::{Domain, within};
 use gs_train::layers::{
@@ -26,7 +26,7 @@ use gs_train::layers::{
 };
 use gs_train::method::MethodError;
 use gs_train::model::Model;
-use gs_train::registry::{MethodEntry, parse_config};
+use gs_train::registry::{MethodEntry, write_config};
 use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
 use gs_train::schedule::Schedule;
 use serde::{Deserialize, Serialize};
@@ -73,6 +73,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     domains: DOMAINS,
     needs_avatar: false,
     grows: None,
+    effective: Some(effective),
     build,
 };
 
@@ -116,6 +117,29 @@ impl<F> Config<F> {
     }
 }
 
+/// Reads the settings of TRACE on a field, without the parts they name.
+fn read<C>(name: &'static str, table: &toml::Table) -> Result<Config<C>, MethodError>
+where
+    C: serde::de::DeserializeOwned + Clone + PartialEq,
+{
+    read_without(name, table, &Config::<C>::parts(), |c| &mut c.ablate)
+}
+
+/// The effective configuration of TRACE on a field: without the field it has no rates.
+///
+/// # Errors
+/// If the configuration cannot be read, or names a part that cannot be left out.
+pub(super) fn effective_on<C>(name: &'static str, table: &toml::Table) -> Result<toml::Table, MethodError>
+where
+    C: Serialize + serde::de::DeserializeOwned + Clone + PartialEq,
+{
+    let mut config: Config<C> = read(name, table)?;
+    if !config.physics.field {
+        config.schedule.lr.remove("field");
+    }
+    write_config(name, &config)
+}
+
 /// Builds TRACE on a field.
 ///
 /// # Errors
@@ -132,9 +156,8 @@ where
     F::Tape: Sync,
     C: serde::de::DeserializeOwned + Clone + PartialEq,
 {
-    let mut config: Config<C> = parse_config(name, table)?;
+    let mut config: Config<C> = read(name, table)?;
     let wrong = |why: String| MethodError::Config { method: name, why };
-    config.ablate.clone().apply(&Config::parts(), &mut config).map_err(wrong)?;
     scene.admit(name, &[count(&config.field), config.law.param_count()])?;
     let field = field(&config).map_err(|e| wrong(e.to_string()))?;
     let origin = 0.5 * (scene.bounds[0] + scene.bounds[1]);
@@ -153,7 +176,43 @@ fn of_a_view(law: LawConfig, batch: u32) -> LawConfig {
     LawConfig { spin_up_weight: share * law.spin_up_weight, accel_clamp: share * law.accel_clamp, ..law }
 }
 
+fn effective(table: &toml::Table) -> Result<toml::Table, MethodError> {
+    effective_on::<DefGsConfig>(ENTRY.name, table)
+}
+
 fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let field = |c: &Config<DefGsConfig>| DefMlp::new(&c.field, scene.seed);
     build_on(ENTRY.name, table, scene, DefGsConfig::param_count, field)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::trace_4dgs;
+    use gs_deform::FourDgsConfig;
+    use gs_train::registry::own_settings;
+    use serde::de::DeserializeOwned;
+    use std::fmt::Debug;
+
+    /// The configuration that names parts and the effective one are the same, but for the rates of a field that is left out.
+    fn same_without_names<C>(entry: &MethodEntry)
+    where
+        C: Serialize + DeserializeOwned + Clone + PartialEq + Debug,
+    {
+        for (ablate, has_field) in [("", true), ("physics", true), ("equivalent", true), ("field, physics", false)] {
+            let mut settings = own_settings(entry.config("tiny").unwrap());
+            settings.insert("ablate".into(), ablate.into());
+            let effective = effective_on::<C>(entry.name, &settings).unwrap();
+            assert_eq!(effective["ablate"].as_str(), Some(""), "{}: {ablate}", entry.name);
+            let mut config: Config<C> = read(entry.name, &settings).unwrap();
+            config.schedule.lr.retain(|part, _| part != "field" || has_field);
+            assert_eq!(read::<C>(entry.name, &effective).unwrap(), config, "{}: {ablate}", entry.name);
+        }
+    }
+
+    #[test]
+    fn effective_configurations_build_the_same_and_name_no_parts() {
+        same_without_names::<DefGsConfig>(&ENTRY);
+        same_without_names::<FourDgsConfig>(&trace_4dgs::ENTRY);
+    }
 }

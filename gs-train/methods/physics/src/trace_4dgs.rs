@@ -1,7 +1,7 @@
 //! TRACE on the HexPlane field of 4D Gaussian Splatting (the row TRACE_4dgs of its tables); see [`trace`](super::trace).
 
 use crate::layers::{LAW, LAW_FAST, LAW_TINY, PHYSICS, PHYSICS_FAST, PHYSICS_TINY};
-use crate::trace::{Config, DOMAINS, build_on};
+use crate::trace::{Config, DOMAINS, build_on, effective_on};
 use gs_deform::{Aabb, FourDgsConfig, HexPlaneField};
 use gs_train::layers::{
     BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED, FOLLOW, MOTION_FAST, PLANES, PLANES_FAST, PLANES_TINY,
@@ -24,8 +24,13 @@ pub const ENTRY: MethodEntry = MethodEntry {
     domains: DOMAINS,
     needs_avatar: false,
     grows: None,
+    effective: Some(effective),
     build,
 };
+
+fn effective(table: &toml::Table) -> Result<toml::Table, MethodError> {
+    effective_on::<FourDgsConfig>(ENTRY.name, table)
+}
 
 fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let shape = |field: &FourDgsConfig| field.clone().for_moments(scene.moments());

@@ -1,6 +1,12 @@
 //! What of a filmed person never changes, and what a frame gives: the posed template, what the cameras say about its
 //! texels, and the same once GeoNet's offsets have moved it.
 
+mod error;
+mod frame;
+
+pub use error::{ActorError, FrameError};
+pub use frame::{First, Posed, Second, Seen};
+
 use super::config::{Config, Input, Mode, ResizeRule, TextureSizes, UnseenColor};
 use super::mean::{Mean, MeanTexture, MeanTextures};
 use glam::{Affine3A, Vec3};
@@ -8,16 +14,12 @@ use gs_core::{Camera, Image, Time};
 use gs_data::avatar::{AvatarFrame, AvatarScene};
 use gs_data::{DataError, ImageCache};
 use gs_texel::Pose;
-use gs_texel::gaussians::warm_up::WarmUpError;
-use gs_texel::gaussians::{BaseError, ChannelsError, TexelBase};
-use gs_texel::inpaint::InpaintError;
-use gs_texel::net::NetError;
+use gs_texel::gaussians::TexelBase;
 use gs_texel::scale_refine::ScaleRefine;
 use gs_texel::skin::{rotations, skin};
-use gs_texel::surface::{Mesh, MeshError, Topology};
-use gs_texel::surface_loss::ChamferError;
-use gs_texel::texels::{MapReader, TexelError, TexelOptions, TexelTable, resize};
-use gs_texel::unproject::{self, UnprojectConfig, UnprojectError, unproject};
+use gs_texel::surface::{Mesh, Topology};
+use gs_texel::texels::{MapReader, TexelOptions, TexelTable, resize};
+use gs_texel::unproject::{self, UnprojectConfig, unproject};
 use std::sync::Arc;
 
 /// Bytes of decoded input images kept.
@@ -25,75 +27,6 @@ const IMAGE_BYTES: usize = 256 << 20;
 
 /// The mean texture is that of so many frames, spread over the recording.
 const MEAN_FRAMES: usize = 8;
-
-/// What a frame cannot be made of.
-#[derive(Debug, thiserror::Error)]
-pub enum FrameError {
-    /// An image of a conditioning camera.
-    #[error(transparent)]
-    Image(#[from] DataError),
-    /// Mesh, cameras and images do not fit.
-    #[error(transparent)]
-    Unproject(#[from] UnprojectError),
-    /// A network refuses its input.
-    #[error(transparent)]
-    Net(#[from] NetError),
-    /// Pose or offsets do not fit the template.
-    #[error(transparent)]
-    Base(#[from] BaseError),
-    /// Texel values do not fit the map.
-    #[error(transparent)]
-    Channels(#[from] ChannelsError),
-    /// Reference Gaussians cannot be made.
-    #[error(transparent)]
-    WarmUp(#[from] WarmUpError),
-    /// Colours of texels that are not seen.
-    #[error(transparent)]
-    Inpaint(#[from] InpaintError),
-    /// Measured points cannot be compared with the surface.
-    #[error(transparent)]
-    Chamfer(#[from] ChamferError),
-    /// A frame from which mean colours are taken.
-    #[error("frame {frame}, of which mean colours are taken: {source}")]
-    Mean {
-        /// Number of the frame.
-        frame: u32,
-        /// What is wrong with it.
-        source: Box<FrameError>,
-    },
-    /// There are no measured points.
-    #[error(
-        "it has no points of the surface to learn geometry from; make the data with points, or set input = \"single\""
-    )]
-    NoPoints,
-    /// No camera sees anything of it.
-    #[error(
-        "no conditioning camera sees any texel of it; check that cameras and masks are those of its images, and scale a template that is not in metres, together with its cameras"
-    )]
-    Unseen,
-    /// Its points have no colours.
-    #[error(
-        "its points have no colours; make the data with coloured points (PLY with red, green, blue), or set surface.color = 0"
-    )]
-    NoColors,
-}
-
-/// A template that no texels can be laid on.
-#[derive(Debug, thiserror::Error)]
-pub enum ActorError {
-    /// Faces of the template are invalid.
-    #[error("template: {0}")]
-    Mesh(#[from] MeshError),
-    /// Texture coordinates of the template are invalid.
-    #[error("template: {0}")]
-    Texels(#[from] TexelError),
-    /// A setting of the unprojection is out of its domain.
-    #[error(transparent)]
-    Unproject(#[from] UnprojectError),
-    /// A frame of the mean texture.
-    #[error("mean texture: {0}")]
-    Frame(#[from] Box<FrameError>),
-}
 
 /// Everything of a person that does not depend on the timestamp.
 pub struct Actor {
@@ -125,77 +58,10 @@ pub struct Actor {
     twice: bool,
 }
 
-/// The template at a pose.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Posed {
-    /// The bind pose with the morphs the pose knows of, `N` rows.
-    pub canonical: Vec<Vec3>,
-    /// Blended skinning matrices, `N` rows.
-    pub transforms: Vec<Affine3A>,
-    /// Their rotations `(w, x, y, z)`.
-    turns: Vec<[f32; 4]>,
-    /// `κ`.
-    kappas: Vec<f32>,
-    /// Normals of the posed template.
-    pub normals: Vec<Vec3>,
-    /// The same without the rotation of its root.
-    root_free: Vec<Vec3>,
-}
-
 /// Colours of the mean texture up to this say nothing of the light.
 const DARK: f32 = 0.1;
 /// Least and most light of a frame over that of the mean textures.
 const LIGHTS: [f32; 2] = [0.1, 10.0];
-
-/// What the cameras say about the texels of a table.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Seen {
-    /// Display-encoded colours, 0 where unseen; `K` rows.
-    pub colors: Vec<[f32; 3]>,
-    /// Number of views, 0 where unseen; a mean where texels were resized.
-    pub views: Vec<f32>,
-}
-
-impl Seen {
-    /// Takes a light off the colours.
-    fn divide(&mut self, light: [f32; 3]) {
-        if light != [1.0; 3] {
-            self.colors.iter_mut().for_each(|c| c.iter_mut().zip(light).for_each(|(c, light)| *c /= light));
-        }
-    }
-}
-
-/// A frame before GeoNet: the posed template and what is seen on it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct First {
-    /// The template in the pose of this frame.
-    pub posed: Posed,
-    /// What is seen on it, at the size of unprojection, in the light of the mean textures.
-    pub seen: Seen,
-    /// Light of the frame over that of the mean textures, per channel; 1 unless light is followed.
-    pub light: [f32; 3],
-    /// GeoNet's input, `[S, S, 6]`.
-    pub input: Vec<f32>,
-}
-
-/// A frame after GeoNet: offsets, and the inputs of GauNet.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Second {
-    /// `D`, metres in the bind pose, `N` rows.
-    pub offsets: Vec<Vec3>,
-    /// Where texels lie and how they are turned.
-    pub base: TexelBase,
-    /// What is seen on them, in the light of the mean textures.
-    pub seen: Seen,
-    /// Colours of the images over those of the Gaussians that `seen` leads to, per channel.
-    pub light: [f32; 3],
-    /// Light that [`Actor::relit`] put on `seen`, over that of the mean textures.
-    pub relit: [f32; 3],
-    /// Light to be put on colours that texels have of their own: that of `relit` where `light` takes it off the Gaussians again.
-    pub own: [f32; 3],
-    /// GauNet's input, `[S, S, 6]`.
-    pub input: Vec<f32>,
-}
 
 impl Actor {
     /// Lays texels on the template.

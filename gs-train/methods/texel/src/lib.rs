@@ -77,6 +77,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     domains: config::DOMAINS,
     needs_avatar: true,
     grows: None,
+    effective: None,
     build,
 };
 
