@@ -389,7 +389,7 @@ mod tests {
 
     /// Settings under a name that is not known would be read as the default, so they are refused.
     #[test]
-    fn heads_of_other_versions_are_told_from_damaged_ones() {
+    fn heads_of_other_versions_are_not_called_damaged() {
         let splats = Splats {
             means: vec![Vec3::Z],
             quats: vec![[1.0, 0.0, 0.0, 0.0]],

@@ -79,7 +79,7 @@ pub enum PlayerError {
         what: String,
     },
     /// A page whose scene this version does not read: its head is JSON with another version, other keys or values of another kind. Damage that
-    /// leaves it JSON is not told from that.
+    /// leaves it JSON looks the same.
     #[error("the page is of another version of gs4d (head of its scene: {0}); export it again from the run")]
     OtherVersion(String),
     /// A page without a clip, or a damaged page or file.
